@@ -1,0 +1,201 @@
+//! Sizes of a convolution and the padded, phase-split planes that its kernels read.
+//!
+//! With stride `s` the padded input is split into `s x s` phase planes (every `s`-th row and column), so that each kernel tap
+//! reads one phase plane at a constant offset: every convolution becomes a stride-1 sum of shifted planes.
+
+use crate::{Conv2d, PadMode, Pool, Scalar, Shape, par};
+
+/// Elements behind the last plane that a kernel may read (never use).
+pub const SLACK: usize = 64;
+
+/// All sizes of one convolution.
+#[derive(Clone, Debug)]
+pub struct Layout {
+    pub input: Shape,
+    pub output: Shape,
+    pub groups: usize,
+    /// Input and output channels of one group.
+    pub cin: usize,
+    pub cout: usize,
+    /// Kernel taps, row-major.
+    pub taps: usize,
+    /// Strides.
+    pub stride: (usize, usize),
+    /// Rows and columns of one phase plane.
+    pub phase_h: usize,
+    pub phase_w: usize,
+    /// Phases that some tap reads, `(row, column)`.
+    pub phases: Vec<(usize, usize)>,
+    /// For each tap: index into `phases`, rows and columns of offset.
+    pub tap_at: Vec<(usize, usize, usize)>,
+    /// Source row and column of every padded row and column; `None` is zero padding.
+    pub rows: Vec<Option<usize>>,
+    pub cols: Vec<Option<usize>>,
+}
+
+impl Layout {
+    /// Sizes for an input and weights `[out, in / groups, kh, kw]`, already checked to fit.
+    pub fn new(input: Shape, weight: Shape, output: Shape, conv: &Conv2d) -> Self {
+        let (sh, sw) = conv.stride;
+        let (dh, dw) = conv.dilation;
+        let mut phases = Vec::new();
+        let mut tap_at = Vec::new();
+        for ky in 0..weight.h() {
+            for kx in 0..weight.w() {
+                let (y, x) = (ky * dh, kx * dw);
+                let phase = (y % sh, x % sw);
+                let index = phases.iter().position(|&p| p == phase).unwrap_or_else(|| {
+                    phases.push(phase);
+                    phases.len() - 1
+                });
+                tap_at.push((index, y / sh, x / sw));
+            }
+        }
+        Layout {
+            input,
+            output,
+            groups: conv.groups,
+            cin: weight.c(),
+            cout: weight.n() / conv.groups,
+            taps: weight.plane(),
+            stride: conv.stride,
+            phase_h: (input.h() + 2 * conv.padding.0).div_ceil(sh),
+            phase_w: (input.w() + 2 * conv.padding.1).div_ceil(sw),
+            phases,
+            tap_at,
+            rows: source_indices(input.h(), conv.padding.0, conv.pad_mode),
+            cols: source_indices(input.w(), conv.padding.1, conv.pad_mode),
+        }
+    }
+
+    /// Elements of one phase plane.
+    pub fn phase_len(&self) -> usize {
+        self.phase_h * self.phase_w
+    }
+
+    /// Elements of all phase planes of one channel.
+    pub fn channel_len(&self) -> usize {
+        self.phases.len() * self.phase_len()
+    }
+
+    /// Flat positions of the output in the row pitch of a phase plane, junk columns included.
+    pub fn flat_len(&self) -> usize {
+        (self.output.h() - 1) * self.phase_w + self.output.w()
+    }
+
+    /// Offset of each tap from an output's flat position, within a channel's phase planes.
+    pub fn tap_offsets(&self) -> Vec<usize> {
+        self.tap_at.iter().map(|&(phase, y, x)| phase * self.phase_len() + y * self.phase_w + x).collect()
+    }
+
+    /// Largest row and column offset of a tap.
+    pub fn reach(&self) -> (usize, usize) {
+        let rows = self.tap_at.iter().map(|t| t.1).max().unwrap_or(0);
+        let cols = self.tap_at.iter().map(|t| t.2).max().unwrap_or(0);
+        (rows, cols)
+    }
+
+    /// The input as padded phase planes `[n][c][phase][row][column]`, with slack behind.
+    pub fn pack_input<T: Scalar>(&self, x: &[T], pool: &Pool<T>) -> Vec<T> {
+        let planes = self.input.planes();
+        let channel = self.channel_len();
+        let mut packed = pool.take(planes * channel + SLACK);
+        let group = (par::CHUNK / channel).max(1);
+        par::for_each_chunk(&mut packed, group * channel, |chunk, out| {
+            for (j, out) in out.chunks_mut(channel).enumerate() {
+                let plane = chunk * group + j;
+                if plane < planes {
+                    let len = self.input.plane();
+                    self.pack_plane(&x[plane * len..][..len], out);
+                } else {
+                    out.fill(T::ZERO);
+                }
+            }
+        });
+        packed
+    }
+
+    fn pack_plane<T: Scalar>(&self, x: &[T], out: &mut [T]) {
+        let width = self.input.w();
+        for (&(a, b), plane) in self.phases.iter().zip(out.chunks_exact_mut(self.phase_len())) {
+            for (y, row) in plane.chunks_exact_mut(self.phase_w).enumerate() {
+                match self.rows.get(y * self.stride.0 + a).copied().flatten() {
+                    Some(r) => self.pack_row(&x[r * width..][..width], b, row),
+                    None => row.fill(T::ZERO),
+                }
+            }
+        }
+    }
+
+    fn pack_row<T: Scalar>(&self, x: &[T], phase: usize, row: &mut [T]) {
+        let pad = (self.cols.len() - x.len()) / 2;
+        if self.stride.1 == 1 {
+            row[pad..pad + x.len()].copy_from_slice(x);
+            for i in (0..pad).chain(pad + x.len()..row.len()) {
+                row[i] = self.cols.get(i).copied().flatten().map_or(T::ZERO, |c| x[c]);
+            }
+        } else {
+            for (i, o) in row.iter_mut().enumerate() {
+                *o = self.cols.get(i * self.stride.1 + phase).copied().flatten().map_or(T::ZERO, |c| x[c]);
+            }
+        }
+    }
+
+    /// Output gradients in the row pitch of a phase plane, zeros in the junk columns: `[n][o][flat]`, `pitch` elements each.
+    pub fn pack_flat_grad<T: Scalar>(&self, g: &[T], pitch: usize, pool: &Pool<T>) -> Vec<T> {
+        let (ho, wo) = (self.output.h(), self.output.w());
+        let mut packed = pool.take(self.output.planes() * pitch);
+        let group = (par::CHUNK / pitch).max(1);
+        par::for_each_chunk(&mut packed, group * pitch, |chunk, out| {
+            for (j, out) in out.chunks_mut(pitch).enumerate() {
+                let plane = &g[(chunk * group + j) * ho * wo..][..ho * wo];
+                out.fill(T::ZERO);
+                for (y, row) in plane.chunks_exact(wo).enumerate() {
+                    out[y * self.phase_w..][..wo].copy_from_slice(row);
+                }
+            }
+        });
+        packed
+    }
+
+    /// Output gradients with a border of zeros above and left as wide as the reach of the taps: `[n][o][row][column]` and the
+    /// row pitch.
+    pub fn pack_bordered_grad<T: Scalar>(&self, g: &[T], pool: &Pool<T>) -> (Vec<T>, usize, usize) {
+        let (up, left) = self.reach();
+        let (ho, wo) = (self.output.h(), self.output.w());
+        let pitch = self.phase_w + left;
+        let len = (self.phase_h + up) * pitch;
+        let planes = self.output.planes();
+        let mut packed = pool.take(planes * len + SLACK);
+        let group = (par::CHUNK / len).max(1);
+        par::for_each_chunk(&mut packed, group * len, |chunk, out| {
+            out.fill(T::ZERO);
+            for (j, out) in out.chunks_exact_mut(len).enumerate() {
+                let plane = chunk * group + j;
+                if plane >= planes {
+                    break;
+                }
+                for (y, row) in g[plane * ho * wo..][..ho * wo].chunks_exact(wo).enumerate() {
+                    out[(y + up) * pitch + left..][..wo].copy_from_slice(row);
+                }
+            }
+        });
+        (packed, pitch, len)
+    }
+}
+
+/// Which source index each padded position reads.
+fn source_indices(len: usize, pad: usize, mode: PadMode) -> Vec<Option<usize>> {
+    (0..len + 2 * pad)
+        .map(|i| {
+            let i = i as isize - pad as isize;
+            let last = len as isize - 1;
+            match mode {
+                _ if (0..=last).contains(&i) => Some(i as usize),
+                PadMode::Zero => None,
+                PadMode::Replicate => Some(i.clamp(0, last) as usize),
+                PadMode::Reflect => Some((if i < 0 { -i } else { 2 * last - i }) as usize),
+            }
+        })
+        .collect()
+}

@@ -1,0 +1,458 @@
+//! Two-dimensional convolution (cross-correlation: the kernel is not flipped), strided, padded, dilated, grouped.
+//!
+//! `y[n, o, i, j] = b[o] + sum over c, u, v of w[o, c, u, v] x[n, g(o) + c, i s + u d - p, j s + v d - p]`
+//!
+//! vjp: `dx` scatters the same products, `dw[o, c, u, v] = sum over n, i, j of g x`, `db[o] = sum g`. Linear in input, weight
+//! and bias. Keeps input and weight, each only when the other one needs its gradient.
+//!
+//! The kernels are direct: the input is copied once into padded planes, an output block of 8 channels x 3 registers is summed
+//! in registers. Work units are (image, output block), so bits do not depend on the number of threads.
+
+use std::sync::Arc;
+
+use super::conv::direct::{Direct, OutputBlock, blocks, pack_weights, padded_len};
+use super::conv::layout::Layout;
+use super::conv::weight_grad::{OUTPUTS, WeightGrad};
+use crate::{Pool, Scalar, Shape, Tensor, Var, par};
+
+/// What lies outside the image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PadMode {
+    /// Zeros.
+    Zero,
+    /// The image mirrored without repeating the edge: index -1 reads 1.
+    Reflect,
+    /// The edge repeated: index -1 reads 0.
+    Replicate,
+}
+
+/// Attributes of a convolution; each pair is (rows, columns).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Conv2d {
+    /// Step between outputs.
+    pub stride: (usize, usize),
+    /// Rows and columns added on each side.
+    pub padding: (usize, usize),
+    /// Step between kernel taps.
+    pub dilation: (usize, usize),
+    /// Groups of channels that do not mix.
+    pub groups: usize,
+    /// What the added rows and columns hold.
+    pub pad_mode: PadMode,
+}
+
+impl Default for Conv2d {
+    fn default() -> Self {
+        Conv2d { stride: (1, 1), padding: (0, 0), dilation: (1, 1), groups: 1, pad_mode: PadMode::Zero }
+    }
+}
+
+impl Conv2d {
+    /// Equal stride and padding in both directions, no dilation, one group, zero padding.
+    pub fn new(stride: usize, padding: usize) -> Self {
+        Conv2d { stride: (stride, stride), padding: (padding, padding), ..Self::default() }
+    }
+
+    /// The same with mirrored borders.
+    pub fn reflect(self) -> Self {
+        Conv2d { pad_mode: PadMode::Reflect, ..self }
+    }
+
+    /// Shape of the output for an input and weights `[out, in / groups, kh, kw]`.
+    ///
+    /// # Panics
+    /// When channels, groups or sizes do not fit.
+    #[track_caller]
+    pub fn output_shape(&self, input: Shape, weight: Shape) -> Shape {
+        assert!(!input.is_empty() && !weight.is_empty(), "conv2d: empty input {input} or weight {weight}");
+        assert!(
+            self.groups > 0 && input.c() == weight.c() * self.groups && weight.n().is_multiple_of(self.groups),
+            "conv2d: input {input} and weight {weight} do not fit {} groups (input channels = weight channels x groups)",
+            self.groups
+        );
+        assert!(
+            self.stride.0 > 0 && self.stride.1 > 0 && self.dilation.0 > 0 && self.dilation.1 > 0,
+            "conv2d: stride {:?} and dilation {:?} must be positive",
+            self.stride,
+            self.dilation
+        );
+        if self.pad_mode == PadMode::Reflect {
+            assert!(
+                self.padding.0 < input.h() && self.padding.1 < input.w(),
+                "conv2d: reflect padding {:?} must be smaller than the image {input}",
+                self.padding
+            );
+        }
+        let size = |len: usize, pad: usize, k: usize, stride: usize, dilation: usize| {
+            let (len, reach) = (len + 2 * pad, dilation * (k - 1) + 1);
+            assert!(len >= reach, "conv2d: kernel {weight} (reach {reach}) is larger than the padded input {input}");
+            (len - reach) / stride + 1
+        };
+        Shape::new(
+            input.n(),
+            weight.n(),
+            size(input.h(), self.padding.0, weight.h(), self.stride.0, self.dilation.0),
+            size(input.w(), self.padding.1, weight.w(), self.stride.1, self.dilation.1),
+        )
+    }
+}
+
+impl<'t, T: Scalar> Var<'t, T> {
+    /// Convolution of `[n, c, h, w]` with weights `[out, c / groups, kh, kw]` and an optional bias `[1, out, 1, 1]`.
+    ///
+    /// # Panics
+    /// When the shapes do not fit (see [`Conv2d::output_shape`]).
+    #[track_caller]
+    pub fn conv2d(self, weight: Var<'t, T>, bias: Option<Var<'t, T>>, conv: Conv2d) -> Var<'t, T> {
+        let (x, w) = (self.value(), weight.value());
+        let shape = conv.output_shape(x.shape(), w.shape());
+        if let Some(bias) = bias {
+            let want = Shape::new(1, shape.c(), 1, 1);
+            assert!(bias.shape() == want, "conv2d: bias must have shape {want}, got {}", bias.shape());
+        }
+        let layout = Layout::new(x.shape(), w.shape(), shape, &conv);
+        let pool = self.tape().pool().clone();
+        let bias_value = bias.map(|b| b.value());
+        let y = forward(&layout, x.data(), w.data(), bias_value.as_ref().map(|b| b.data()), &pool);
+        let output = self.tape().tensor(shape, y);
+        let x = weight.requires_grad().then_some(x);
+        let w = self.requires_grad().then_some(w);
+        let parents: Vec<_> = [self, weight].into_iter().chain(bias).collect();
+        self.tape().push("conv2d", output, &parents, move |g, grads| {
+            if let (Some(mut slot), Some(w)) = (grads.slot(0), &w) {
+                backward_input(&layout, g.data(), w.data(), slot.as_mut_slice(), &pool);
+            }
+            if let (Some(mut slot), Some(x)) = (grads.slot(1), &x) {
+                backward_weight(&layout, x.data(), g.data(), slot.as_mut_slice(), &pool);
+            }
+            if grads.len() == 3
+                && let Some(mut slot) = grads.slot(2)
+            {
+                backward_bias(g, slot.as_mut_slice());
+            }
+        })
+    }
+}
+
+fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
+    let packed = l.pack_input(x, pool);
+    let (cin, taps, offsets) = (l.cin, l.taps, l.tap_offsets());
+    let weights: Vec<_> = (0..l.groups)
+        .map(|g| {
+            let first = g * l.cout;
+            pack_weights(w, [l.cout, cin, taps], |o, c, t| ((first + o) * cin + c) * taps + t, pool)
+        })
+        .collect();
+    let blocks = blocks(l.cout);
+    let mut y = pool.take(l.output.len());
+    let plane = l.output.plane();
+    let tasks = block_slices(&mut y, l.output.n() * l.groups, &blocks, plane);
+    let pitch = padded_len(l.flat_len());
+    par::for_each_item(tasks, |_, (unit, block, out)| {
+        let (n, group) = (unit / l.groups, unit % l.groups);
+        let mut scratch = pool.take(block.width * pitch);
+        T::run_direct(Direct {
+            x: &packed[(n * l.groups + group) * cin * l.channel_len()..],
+            channel_len: l.channel_len(),
+            weights: &weights[group][block.start * cin * taps..][..block.width * cin * taps],
+            offsets: &offsets,
+            len: l.flat_len(),
+            out: &mut scratch,
+            width: block.width,
+        });
+        for (o, (out, flat)) in out.chunks_exact_mut(plane).zip(scratch.chunks_exact(pitch)).enumerate() {
+            let b = bias.map_or(T::ZERO, |b| b[group * l.cout + block.start + o]);
+            for (row, flat) in out.chunks_exact_mut(l.output.w()).zip(flat.chunks(l.phase_w)) {
+                for (y, &f) in row.iter_mut().zip(flat) {
+                    *y = f + b;
+                }
+            }
+        }
+        pool.give(scratch);
+    });
+    weights.into_iter().for_each(|w| pool.give(w));
+    pool.give(packed);
+    y
+}
+
+/// A tensor's planes cut into (unit, output block, slice) tasks; a unit is one image's group of channels.
+fn block_slices<'a, T>(
+    data: &'a mut [T],
+    units: usize,
+    blocks: &[OutputBlock],
+    plane: usize,
+) -> Vec<(usize, OutputBlock, &'a mut [T])> {
+    let mut rest = data;
+    let mut tasks = Vec::with_capacity(units * blocks.len());
+    for unit in 0..units {
+        for &block in blocks {
+            let (head, tail) = rest.split_at_mut(block.width * plane);
+            tasks.push((unit, block, head));
+            rest = tail;
+        }
+    }
+    tasks
+}
+
+/// Adds the gradient of the input: for every phase of the padded input, a stride-1 product of the bordered output gradient with
+/// the taps of that phase, scattered back through the padding.
+fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], pool: &Arc<Pool<T>>) {
+    let (bordered, pitch, plane_len) = l.pack_bordered_grad(g, pool);
+    let (up, left) = l.reach();
+    let phases: Vec<_> = (0..l.phases.len())
+        .map(|phase| {
+            let taps: Vec<usize> = (0..l.taps).filter(|&t| l.tap_at[t].0 == phase).collect();
+            let offsets: Vec<usize> =
+                taps.iter().map(|&t| (up - l.tap_at[t].1) * pitch + (left - l.tap_at[t].2)).collect();
+            let weights: Vec<_> = (0..l.groups)
+                .map(|group| {
+                    let at = |c, o, t: usize| ((group * l.cout + o) * l.cin + c) * l.taps + taps[t];
+                    pack_weights(w, [l.cin, l.cout, taps.len()], at, pool)
+                })
+                .collect();
+            (offsets, weights)
+        })
+        .collect();
+    let blocks = blocks(l.cin);
+    let tasks = block_slices(dx, l.input.n() * l.groups, &blocks, l.input.plane());
+    let len = (l.phase_h - 1) * pitch + l.phase_w;
+    let row_pitch = padded_len(len);
+    par::for_each_item(tasks, |_, (unit, block, dx)| {
+        let (n, group) = (unit / l.groups, unit % l.groups);
+        let mut scratch = pool.take(block.width * row_pitch);
+        for (phase, (offsets, weights)) in phases.iter().enumerate() {
+            let size = l.cout * offsets.len();
+            T::run_direct(Direct {
+                x: &bordered[(n * l.groups + group) * l.cout * plane_len..],
+                channel_len: plane_len,
+                weights: &weights[group][block.start * size..][..block.width * size],
+                offsets,
+                len,
+                out: &mut scratch,
+                width: block.width,
+            });
+            for (dx, flat) in dx.chunks_exact_mut(l.input.plane()).zip(scratch.chunks_exact(row_pitch)) {
+                scatter_phase(l, phase, flat, pitch, dx);
+            }
+        }
+        pool.give(scratch);
+    });
+    phases.into_iter().flat_map(|p| p.1).for_each(|w| pool.give(w));
+    pool.give(bordered);
+}
+
+/// Adds one phase plane of the padded gradient to the input positions that the padding read.
+fn scatter_phase<T: Scalar>(l: &Layout, phase: usize, flat: &[T], pitch: usize, dx: &mut [T]) {
+    let (a, b) = l.phases[phase];
+    let width = l.input.w();
+    let pad = (l.cols.len() - width) / 2;
+    for (y, flat) in flat.chunks(pitch).take(l.phase_h).enumerate() {
+        let Some(row) = l.rows.get(y * l.stride.0 + a).copied().flatten() else { continue };
+        let dx = &mut dx[row * width..][..width];
+        if l.stride.1 == 1 {
+            for (d, &f) in dx.iter_mut().zip(&flat[pad..]) {
+                *d += f;
+            }
+            for x in (0..pad).chain(pad + width..l.cols.len()) {
+                if let Some(c) = l.cols[x] {
+                    dx[c] += flat[x];
+                }
+            }
+        } else {
+            for (x, &f) in flat[..l.phase_w].iter().enumerate() {
+                if let Some(c) = l.cols.get(x * l.stride.1 + b).copied().flatten() {
+                    dx[c] += f;
+                }
+            }
+        }
+    }
+}
+
+/// Adds the gradient of the weights; a unit of work owns four output channels and up to 16 input channels.
+fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], pool: &Arc<Pool<T>>) {
+    const CHANNELS: usize = 16;
+    let packed = l.pack_input(x, pool);
+    let pitch = padded_len(l.flat_len());
+    let flat = l.pack_flat_grad(g, pitch, pool);
+    let offsets = l.tap_offsets();
+    let output_blocks = l.cout.div_ceil(OUTPUTS);
+    let channel_blocks = l.cin.div_ceil(CHANNELS);
+    let per_group = output_blocks * channel_blocks;
+    let span = |unit: usize| {
+        let (group, unit) = (unit / per_group, unit % per_group);
+        let (o, c) = (unit / channel_blocks * OUTPUTS, unit % channel_blocks * CHANNELS);
+        (group, o, c, OUTPUTS.min(l.cout - o), CHANNELS.min(l.cin - c))
+    };
+    let sums = par::map_indices(l.groups * per_group, |unit| {
+        let (group, o, c, outputs, channels) = span(unit);
+        let pairs: Vec<usize> =
+            (c..c + channels).flat_map(|c| offsets.iter().map(move |t| c * l.channel_len() + t)).collect();
+        T::run_weight_grad(WeightGrad {
+            g: &flat[group * l.cout * pitch..],
+            g_image: l.output.c() * pitch,
+            pitch,
+            x: &packed[group * l.cin * l.channel_len()..],
+            x_image: l.input.c() * l.channel_len(),
+            pairs: &pairs,
+            images: l.input.n(),
+            first: o,
+            outputs,
+        })
+    });
+    for (unit, sums) in sums.iter().enumerate() {
+        let (group, o, c, _, channels) = span(unit);
+        let run = channels * l.taps;
+        for (i, sums) in sums.chunks_exact(run).enumerate() {
+            let at = ((group * l.cout + o + i) * l.cin + c) * l.taps;
+            for (d, &s) in dw[at..at + run].iter_mut().zip(sums) {
+                *d += T::from_f64(s);
+            }
+        }
+    }
+    pool.give(packed);
+    pool.give(flat);
+}
+
+fn backward_bias<T: Scalar>(g: &Tensor<T>, db: &mut [T]) {
+    let shape = g.shape();
+    let sums = par::map_indices(shape.c(), |c| {
+        (0..shape.n()).map(|n| plane_sum(g.plane(n, c))).sum::<f64>()
+    });
+    for (d, s) in db.iter_mut().zip(sums) {
+        *d += T::from_f64(s);
+    }
+}
+
+/// Sum of a plane in 16 lanes, then in `f64`.
+fn plane_sum<T: Scalar>(plane: &[T]) -> f64 {
+    let mut total = 0.0;
+    for chunk in plane.chunks(4096) {
+        let mut lanes = [T::ZERO; 16];
+        let whole = chunk.chunks_exact(16);
+        let rest = whole.remainder();
+        for x in whole {
+            for (l, &x) in lanes.iter_mut().zip(x) {
+                *l += x;
+            }
+        }
+        total += lanes.iter().chain(rest).map(|x| x.to_f64()).sum::<f64>();
+    }
+    total
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gradcheck::{random, weighted_sum};
+    use crate::{GradCheck, Tape, gradcheck};
+
+    /// The definition, written as plain loops.
+    fn reference(x: &Tensor<f64>, w: &Tensor<f64>, b: Option<&Tensor<f64>>, conv: &Conv2d) -> Tensor<f64> {
+        let shape = conv.output_shape(x.shape(), w.shape());
+        let outputs = w.shape().n() / conv.groups;
+        let index = |i: isize, len: usize| -> Option<usize> {
+            let last = len as isize - 1;
+            match conv.pad_mode {
+                _ if (0..=last).contains(&i) => Some(i as usize),
+                PadMode::Zero => None,
+                PadMode::Reflect => Some(if i < 0 { -i } else { 2 * last - i } as usize),
+                PadMode::Replicate => Some(i.clamp(0, last) as usize),
+            }
+        };
+        Tensor::from_fn(shape, |n, o, i, j| {
+            let mut sum = b.map_or(0.0, |b| b.data()[o]);
+            for c in 0..w.shape().c() {
+                for u in 0..w.shape().h() {
+                    for v in 0..w.shape().w() {
+                        let y = (i * conv.stride.0 + u * conv.dilation.0) as isize - conv.padding.0 as isize;
+                        let z = (j * conv.stride.1 + v * conv.dilation.1) as isize - conv.padding.1 as isize;
+                        if let (Some(y), Some(z)) = (index(y, x.shape().h()), index(z, x.shape().w())) {
+                            sum += w.at(o, c, u, v) * x.at(n, o / outputs * w.shape().c() + c, y, z);
+                        }
+                    }
+                }
+            }
+            sum
+        })
+    }
+
+    /// Input, weight and attributes of assorted convolutions.
+    fn cases() -> Vec<(Shape, Shape, Conv2d)> {
+        let c = |stride, padding, dilation, groups, pad_mode| Conv2d { stride, padding, dilation, groups, pad_mode };
+        use PadMode::{Reflect, Replicate, Zero};
+        vec![
+            (Shape::new(1, 1, 1, 1), Shape::new(1, 1, 1, 1), Conv2d::default()),
+            (Shape::new(2, 3, 5, 7), Shape::new(4, 3, 3, 3), Conv2d::new(1, 1)),
+            (Shape::new(1, 2, 6, 9), Shape::new(9, 2, 3, 3), Conv2d::new(2, 1)),
+            (Shape::new(2, 3, 8, 10), Shape::new(11, 3, 7, 7), Conv2d::new(2, 3)),
+            (Shape::new(1, 5, 4, 3), Shape::new(3, 5, 1, 1), Conv2d::new(2, 0)),
+            (Shape::new(2, 4, 5, 6), Shape::new(6, 2, 3, 3), c((1, 1), (1, 1), (1, 1), 2, Zero)),
+            (Shape::new(1, 3, 7, 9), Shape::new(3, 1, 3, 3), c((1, 1), (2, 2), (2, 2), 3, Zero)),
+            (Shape::new(1, 2, 4, 5), Shape::new(3, 2, 3, 3), Conv2d::new(1, 1).reflect()),
+            (Shape::new(2, 2, 5, 4), Shape::new(2, 2, 3, 3), c((2, 1), (1, 1), (1, 1), 1, Replicate)),
+            (Shape::new(1, 2, 5, 6), Shape::new(2, 2, 1, 5), c((1, 1), (0, 2), (1, 1), 1, Zero)),
+            (Shape::new(1, 2, 9, 8), Shape::new(2, 2, 3, 2), c((3, 2), (2, 1), (2, 3), 1, Reflect)),
+            (Shape::new(1, 1, 1, 9), Shape::new(1, 1, 1, 3), c((1, 1), (0, 1), (1, 1), 1, Zero)),
+        ]
+    }
+
+    #[test]
+    fn values_equal_the_definition() {
+        for (i, (xs, ws, conv)) in cases().into_iter().enumerate() {
+            let (x, w) = (random::<f64>(1 + i as u64, xs, -1.0, 1.0), random::<f64>(50 + i as u64, ws, -1.0, 1.0));
+            let b = random::<f64>(90, Shape::new(1, ws.n(), 1, 1), -1.0, 1.0);
+            let tape = Tape::new();
+            let y = tape.constant(x.clone()).conv2d(tape.constant(w.clone()), Some(tape.constant(b.clone())), conv).value();
+            let want = reference(&x, &w, Some(&b), &conv);
+            assert_eq!(y.shape(), want.shape());
+            for (a, b) in y.data().iter().zip(want.data()) {
+                assert!((a - b).abs() < 1e-12, "case {i}: {a} against {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn gradient_matches_finite_differences() {
+        for (i, (xs, ws, conv)) in cases().into_iter().enumerate() {
+            let x = random(1 + i as u64, xs, -1.0, 1.0);
+            let w = random(50 + i as u64, ws, -1.0, 1.0);
+            let b = random(90, Shape::new(1, ws.n(), 1, 1), -1.0, 1.0);
+            let report =
+                gradcheck(&[x, w, b], |_, v| weighted_sum(v[0].conv2d(v[1], Some(v[2]), conv), 3), GradCheck::default());
+            assert!(report.is_ok(), "case {i}: {report}");
+        }
+    }
+
+    #[test]
+    fn bits_do_not_depend_on_the_number_of_threads() {
+        let x = random::<f32>(1, Shape::new(3, 16, 33, 47), -1.0, 1.0);
+        let w = random::<f32>(2, Shape::new(20, 16, 3, 3), -1.0, 1.0);
+        let run = |threads| {
+            par::with_threads(threads, || {
+                let tape = Tape::new();
+                let (x, w) = (tape.leaf(x.clone()), tape.leaf(w.clone()));
+                let y = x.conv2d(w, None, Conv2d::new(2, 1));
+                let grads = tape.backward(weighted_sum(y, 4));
+                (y.value(), grads.wrt(x), grads.wrt(w))
+            })
+        };
+        let one = run(1);
+        for threads in [2, 3, 4] {
+            assert!(run(threads) == one, "{threads} threads");
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "do not fit 1 groups")]
+    fn rejects_wrong_channels() {
+        let tape = Tape::<f32>::new();
+        let x = tape.constant(Tensor::zeros(Shape::new(1, 3, 4, 4)));
+        x.conv2d(tape.constant(Tensor::zeros(Shape::new(2, 4, 3, 3))), None, Conv2d::new(1, 1));
+    }
+
+    #[test]
+    #[should_panic(expected = "reflect padding (2, 2) must be smaller than the image")]
+    fn rejects_reflection_beyond_the_image() {
+        Conv2d::new(1, 2).reflect().output_shape(Shape::new(1, 1, 2, 5), Shape::new(1, 1, 3, 3));
+    }
+}

@@ -1,0 +1,178 @@
+//! Maximum over a k x k window, stride s, padding p that counts as minus infinity.
+//!
+//! y[i, j] = max over the window's elements inside the plane.
+//! vjp: g goes to the first maximum in row-major window order.  Kinks: ties, resolved by that rule (as PyTorch).
+//! Keeps: input and output; the winner is looked up again in the backward pass.
+//! A NaN in the window gives NaN, and the gradient goes to the first NaN.
+
+use super::planes::{Window, for_each_plane};
+use crate::{Scalar, Var};
+
+/// The larger value; NaN where one of the two is NaN.
+#[inline(always)]
+fn larger<T: Scalar>(best: T, v: T) -> T {
+    if best >= v || best.is_nan() { best } else { v }
+}
+
+fn forward_plane<T: Scalar>(x: &[T], y: &mut [T], window: Window) {
+    let Window {
+        width,
+        kernel,
+        stride,
+        padding,
+        ..
+    } = window;
+    let mut column = vec![T::NEG_INFINITY; width + 2 * padding];
+    for (oy, out) in y.chunks_exact_mut(window.out_width).enumerate() {
+        let middle = &mut column[padding..padding + width];
+        middle.fill(T::NEG_INFINITY);
+        for row in window.rows(oy) {
+            for (m, &v) in middle.iter_mut().zip(&x[row * width..][..width]) {
+                *m = larger(*m, v);
+            }
+        }
+        for (o, values) in out.iter_mut().zip(column.windows(kernel).step_by(stride)) {
+            *o = values
+                .iter()
+                .fold(T::NEG_INFINITY, |best, &v| larger(best, v));
+        }
+    }
+}
+
+/// Flat index of the first element of the window at `(oy, ox)` that equals `best`.
+#[inline(always)]
+fn first_maximum<T: Scalar>(
+    x: &[T],
+    best: T,
+    window: Window,
+    oy: usize,
+    ox: usize,
+) -> Option<usize> {
+    let columns = window.columns(ox);
+    for row in window.rows(oy) {
+        let start = row * window.width + columns.start;
+        let values = &x[start..start + columns.len()];
+        if let Some(i) = values
+            .iter()
+            .position(|&v| v == best || (v.is_nan() && best.is_nan()))
+        {
+            return Some(start + i);
+        }
+    }
+    None
+}
+
+fn backward_plane<T: Scalar>(x: &[T], y: &[T], g: &[T], gx: &mut [T], window: Window) {
+    let width = window.out_width;
+    gx.fill(T::ZERO);
+    for (oy, (best, grad)) in y.chunks_exact(width).zip(g.chunks_exact(width)).enumerate() {
+        for (ox, (&best, &grad)) in best.iter().zip(grad).enumerate() {
+            if let Some(i) = first_maximum(x, best, window, oy, ox) {
+                gx[i] += grad;
+            }
+        }
+    }
+}
+
+impl<'t, T: Scalar> Var<'t, T> {
+    /// Maximum over square windows.
+    ///
+    /// **Shapes**: (N, C, H, W) to (N, C, floor((H + 2p - k)/s) + 1, floor((W + 2p - k)/s) + 1).
+    /// **Gradient**: to the first maximum of each window in row-major order.
+    /// **Domain**: padding counts as minus infinity; NaN wins over every number.
+    /// **Panics** unless k, s >= 1, 2p <= k and the padded plane is at least as large as the window.
+    #[track_caller]
+    pub fn max_pool2d(self, kernel: usize, stride: usize, padding: usize) -> Var<'t, T> {
+        let shape = self.shape();
+        let window = Window::new("max_pool2d", shape, kernel, stride, padding);
+        let out_shape = shape.with_plane(window.out_height, window.out_width);
+        let (plane, out_plane) = (shape.plane(), out_shape.plane());
+        let x = self.value();
+        let mut y = self.tape().scratch(out_shape.len());
+        for_each_plane(&mut y, out_plane, |i, out| {
+            forward_plane(&x.data()[i * plane..][..plane], out, window);
+        });
+        let y = self.tape().tensor(out_shape, y);
+        let best = y.clone();
+        self.tape().push("max_pool2d", y, &[self], move |g, grads| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.write(|gx| {
+                    for_each_plane(gx, plane, |i, out| {
+                        let outputs = i * out_plane..(i + 1) * out_plane;
+                        let (best, g) = (&best.data()[outputs.clone()], &g.data()[outputs]);
+                        backward_plane(&x.data()[i * plane..][..plane], best, g, out, window);
+                    });
+                });
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::ops::planes::testing::{noise, tensor};
+    use crate::ops::testing::{check, close};
+    use crate::{Shape, Tape, Tensor};
+
+    #[test]
+    fn three_by_three_stride_two_of_a_small_plane() {
+        let tape = Tape::new();
+        let x = [
+            -1.0, -2.0, -3.0, -4.0, 5.0, 0.0, 7.0, -8.0, 9.0, 2.0, 1.0, 0.0,
+        ];
+        let x = tape.leaf(tensor([1, 1, 3, 4], &x));
+        let y = x.max_pool2d(3, 2, 1);
+        close(y.value().data(), &[5.0, 7.0, 9.0, 7.0]);
+        let mut expected = [0.0; 12];
+        (expected[4], expected[6], expected[8]) = (1.0, 2.0, 1.0);
+        close(tape.backward(y.sum()).wrt(x).data(), &expected);
+    }
+
+    #[test]
+    fn padding_never_wins() {
+        let tape = Tape::new();
+        let x = tape.constant(Tensor::full(Shape::new(1, 2, 3, 5), -7.0));
+        let y = x.max_pool2d(2, 1, 1).value();
+        assert_eq!(y.shape(), Shape::new(1, 2, 4, 6));
+        close(y.data(), &[-7.0; 48]);
+    }
+
+    #[test]
+    fn the_first_of_equal_maxima_takes_the_gradient() {
+        let tape = Tape::new();
+        let x = tape.leaf(Tensor::full(Shape::new(1, 1, 2, 4), 3.0));
+        let grads = tape.backward(x.max_pool2d(2, 2, 0).sum());
+        close(
+            grads.wrt(x).data(),
+            &[1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        );
+    }
+
+    #[test]
+    fn not_a_number_is_not_hidden() {
+        let tape = Tape::new();
+        let x = tape.leaf(tensor([1, 1, 2, 2], &[1.0, f64::NAN, 5.0, 2.0]));
+        let y = x.max_pool2d(2, 2, 0);
+        assert!(y.value().item().is_nan());
+        close(tape.backward(y).wrt(x).data(), &[0.0, 1.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn gradient_matches_finite_differences() {
+        for (sizes, k, s, p) in [
+            ([2, 2, 5, 7], 3, 2, 1),
+            ([1, 3, 4, 3], 2, 1, 0),
+            ([1, 1, 1, 6], 3, 3, 1),
+            ([1, 1, 6, 5], 4, 1, 2),
+        ] {
+            check(&[noise(5, sizes)], |v| v[0].max_pool2d(k, s, p));
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "max_pool2d: input [1, 1, 2, 3] with padding 0")]
+    fn rejects_planes_smaller_than_the_window() {
+        let tape = Tape::new();
+        tape.constant(noise(1, [1, 1, 2, 3])).max_pool2d(3, 1, 0);
+    }
+}

@@ -1,0 +1,56 @@
+//! `y = max(x, 0)`. Vector-Jacobian product: `g` where `y > 0`, else 0; at the kink `x = 0` it is 0. Keeps: the output.
+//!
+//! NaN stays NaN, in the value and in the gradient.
+
+use super::{kernel, unary};
+use crate::{Scalar, Var};
+
+fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
+    kernel::map(y, x, |x| if x <= T::ZERO { T::ZERO } else { x });
+}
+
+fn backward<T: Scalar>(y: &[T], grad_y: &[T], grad_x: &mut [T]) {
+    kernel::zip(
+        grad_x,
+        y,
+        grad_y,
+        |y, g| if y <= T::ZERO { T::ZERO } else { g },
+    );
+}
+
+impl<'t, T: Scalar> Var<'t, T> {
+    /// Positive part of every entry.
+    ///
+    /// **Gradient**: `g` where `x > 0`, else 0; 0 at `x = 0`.
+    pub fn relu(self) -> Var<'t, T> {
+        unary::keep_output("relu", self, forward, backward)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use crate::ops::testing::{self, close, random_away, slopes, values};
+
+    #[test]
+    fn values_and_slopes_are_known() {
+        let x = [-1.5, 0.0, 2.0];
+        close(&values(&x, |x| x.relu()), &[0.0, 0.0, 2.0]);
+        close(&slopes(&x, |x| x.relu()), &[0.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn nan_is_not_hidden() {
+        assert!(values(&[f64::NAN], |x| x.relu())[0].is_nan());
+    }
+
+    proptest! {
+        #![proptest_config(testing::cases())]
+        #[test]
+        fn gradient_matches_finite_differences(shape in testing::shapes(), seed in any::<u64>()) {
+            let x = random_away(seed, shape, -2.0, 2.0, &[0.0]);
+            testing::check(&[x], |v| v[0].relu());
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! Parallel loops whose results do not depend on the number of threads.
+//!
+//! Work is cut into pieces of a size that the caller fixes; sums are taken piece by piece in `f64` and added in order.
+//! This is the only place that names the thread library.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+/// Elements of one piece of an elementwise loop or a sum.
+pub const CHUNK: usize = 16_384;
+
+/// Runs `f(index, chunk)` on consecutive chunks of `out`; the last one may be shorter.
+pub fn for_each_chunk<T: Send>(out: &mut [T], chunk_len: usize, f: impl Fn(usize, &mut [T]) + Sync + Send) {
+    if out.len() <= chunk_len {
+        if !out.is_empty() {
+            f(0, out);
+        }
+        return;
+    }
+    out.par_chunks_mut(chunk_len).enumerate().for_each(|(i, chunk)| f(i, chunk));
+}
+
+/// `[f(0), f(1), .., f(n - 1)]`, computed in parallel, returned in order.
+pub fn map_indices<R: Send>(n: usize, f: impl Fn(usize) -> R + Sync + Send) -> Vec<R> {
+    if n <= 1 {
+        return (0..n).map(f).collect();
+    }
+    (0..n).into_par_iter().map(f).collect()
+}
+
+/// As [`map_indices`].
+pub fn for_each_index<R: Send>(n: usize, f: impl Fn(usize) -> R + Sync + Send) -> Vec<R> {
+    map_indices(n, f)
+}
+
+/// Runs `f(i, item)` on every item in parallel.
+pub fn for_each_item<T: Send>(items: Vec<T>, f: impl Fn(usize, T) + Sync + Send) {
+    if items.len() <= 1 {
+        items.into_iter().enumerate().for_each(|(i, item)| f(i, item));
+        return;
+    }
+    items.into_par_iter().enumerate().for_each(|(i, item)| f(i, item));
+}
+
+/// Sum over `0..len` of pieces of [`CHUNK`] indices, added in order.
+pub fn sum(len: usize, piece: impl Fn(Range<usize>) -> f64 + Sync + Send) -> f64 {
+    let pieces = len.div_ceil(CHUNK);
+    map_indices(pieces, |i| piece(i * CHUNK..((i + 1) * CHUNK).min(len))).into_iter().sum()
+}
+
+/// Runs `f` with a pool of exactly `threads` threads.
+///
+/// # Panics
+/// When the threads cannot be started.
+pub fn with_threads<R: Send>(threads: usize, f: impl FnOnce() -> R + Send) -> R {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads can be started").install(f)
+}
+
+/// Threads that loops of this module use at present.
+pub fn threads() -> usize {
+    rayon::current_num_threads()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sum_has_the_same_bits_on_any_number_of_threads() {
+        let piece = |r: Range<usize>| r.map(|i| 1.0 / (1.0 + i as f64)).sum::<f64>();
+        let one = with_threads(1, || sum(100_001, piece));
+        for threads in 2..5 {
+            assert_eq!(with_threads(threads, || sum(100_001, piece)).to_bits(), one.to_bits());
+        }
+    }
+
+    #[test]
+    fn chunks_cover_everything_once() {
+        let mut out = vec![0; 100];
+        for_each_chunk(&mut out, 7, |i, chunk| chunk.iter_mut().enumerate().for_each(|(j, x)| *x += 7 * i + j));
+        assert_eq!(out, (0..100).collect::<Vec<_>>());
+    }
+}

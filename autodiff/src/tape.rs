@@ -1,0 +1,412 @@
+//! The tape: records operations, then walks them backwards.
+
+use std::cell::RefCell;
+use std::fmt;
+use std::sync::Arc;
+
+use crate::{Pool, Scalar, Shape, Tensor};
+
+/// What an operation does in the backward pass: given the gradient of its output, add to the gradients of its parents.
+type Backward<T> = Box<dyn Fn(&Tensor<T>, &mut GradSink<'_, T>)>;
+
+struct Node<T: Scalar> {
+    op: &'static str,
+    shape: Shape,
+    value: Option<Tensor<T>>,
+    parents: Box<[usize]>,
+    backward: Option<Backward<T>>,
+    requires_grad: bool,
+    keeps_grad: bool,
+}
+
+/// A record of operations on variables.
+///
+/// Nodes are appended in the order of computation, so the backward pass is a loop from the end: no recursion, any depth.
+/// A tape lives for one step; buffers outlive it in its [`Pool`].
+pub struct Tape<T: Scalar> {
+    nodes: RefCell<Vec<Node<T>>>,
+    pool: Arc<Pool<T>>,
+}
+
+/// A handle to a value on a tape; cheap to copy.
+pub struct Var<'t, T: Scalar> {
+    tape: &'t Tape<T>,
+    id: usize,
+}
+
+impl<T: Scalar> Clone for Var<'_, T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T: Scalar> Copy for Var<'_, T> {}
+
+impl<T: Scalar> fmt::Debug for Var<'_, T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let nodes = self.tape.nodes.borrow();
+        write!(f, "Var #{} {} {}", self.id, nodes[self.id].op, nodes[self.id].shape)
+    }
+}
+
+impl<T: Scalar> Default for Tape<T> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<T: Scalar> Tape<T> {
+    /// An empty tape with a pool of its own.
+    pub fn new() -> Self {
+        Self::with_pool(Pool::new())
+    }
+
+    /// An empty tape that takes its buffers from `pool`.
+    pub fn with_pool(pool: Arc<Pool<T>>) -> Self {
+        Tape { nodes: RefCell::new(Vec::new()), pool }
+    }
+
+    /// The pool of this tape's buffers.
+    pub fn pool(&self) -> &Arc<Pool<T>> {
+        &self.pool
+    }
+
+    /// Number of recorded nodes.
+    pub fn len(&self) -> usize {
+        self.nodes.borrow().len()
+    }
+
+    /// Whether nothing is recorded yet.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// A variable whose gradient is wanted.
+    pub fn leaf(&self, value: Tensor<T>) -> Var<'_, T> {
+        self.append("leaf", value, Box::new([]), None, true)
+    }
+
+    /// A value without gradient.
+    pub fn constant(&self, value: Tensor<T>) -> Var<'_, T> {
+        self.append("constant", value, Box::new([]), None, false)
+    }
+
+    /// A pooled buffer of `len` zeros, to become an operation's output by [`Tape::tensor`].
+    pub fn buffer(&self, len: usize) -> Vec<T> {
+        self.pool.take_zeroed(len)
+    }
+
+    /// A pooled buffer of `len` elements with arbitrary contents, for outputs that are written everywhere.
+    pub fn scratch(&self, len: usize) -> Vec<T> {
+        self.pool.take(len)
+    }
+
+    /// A tensor over a pooled buffer; the buffer returns to the pool when the last handle is dropped.
+    ///
+    /// # Panics
+    /// When the length is not that of the shape.
+    #[track_caller]
+    pub fn tensor(&self, shape: Shape, data: Vec<T>) -> Tensor<T> {
+        Tensor::pooled(shape, data, &self.pool)
+    }
+
+    /// Records an operation: its output, its parents, and how the output's gradient adds to the parents' gradients.
+    ///
+    /// This is the way to define an operation, inside this crate or outside. `backward` receives the gradient of the output
+    /// (same shape as the output) and one slot for each parent; it must add to the slots, never overwrite them, and may be
+    /// called more than once. It is dropped at once when no parent requires a gradient.
+    ///
+    /// # Panics
+    /// When a parent belongs to another tape.
+    #[track_caller]
+    pub fn push<'t>(
+        &'t self,
+        op: &'static str,
+        output: Tensor<T>,
+        parents: &[Var<'t, T>],
+        backward: impl Fn(&Tensor<T>, &mut GradSink<'_, T>) + 'static,
+    ) -> Var<'t, T> {
+        assert!(parents.iter().all(|p| std::ptr::eq(p.tape, self)), "{op}: an operand belongs to another tape");
+        let requires_grad = parents.iter().any(|p| p.requires_grad());
+        let ids = parents.iter().map(|p| p.id).collect();
+        let backward: Option<Backward<T>> = if requires_grad { Some(Box::new(backward)) } else { None };
+        self.append(op, output, ids, backward, requires_grad)
+    }
+
+    fn append(
+        &self,
+        op: &'static str,
+        value: Tensor<T>,
+        parents: Box<[usize]>,
+        backward: Option<Backward<T>>,
+        requires_grad: bool,
+    ) -> Var<'_, T> {
+        let mut nodes = self.nodes.borrow_mut();
+        let keeps_grad = requires_grad && parents.is_empty();
+        nodes.push(Node { op, shape: value.shape(), value: Some(value), parents, backward, requires_grad, keeps_grad });
+        Var { tape: self, id: nodes.len() - 1 }
+    }
+
+    /// Gradients of a scalar with respect to every leaf (and every [`Var::retain_grad`]); the graph is kept.
+    ///
+    /// # Panics
+    /// When `loss` is not a single number or belongs to another tape.
+    #[track_caller]
+    pub fn backward(&self, loss: Var<'_, T>) -> Gradients<T> {
+        self.sweep(loss, false)
+    }
+
+    /// As [`Tape::backward`], but frees values and saved state as soon as they have served.
+    ///
+    /// Values of variables recorded before `loss` are gone afterwards, except leaves and constants.
+    ///
+    /// # Panics
+    /// When `loss` is not a single number or belongs to another tape.
+    #[track_caller]
+    pub fn backward_and_free(&self, loss: Var<'_, T>) -> Gradients<T> {
+        self.sweep(loss, true)
+    }
+
+    #[track_caller]
+    fn sweep(&self, loss: Var<'_, T>, free: bool) -> Gradients<T> {
+        assert!(std::ptr::eq(loss.tape, self), "backward: the loss belongs to another tape");
+        let shape = loss.shape();
+        assert!(shape.len() == 1, "backward: the loss must be one number, got shape {shape}");
+        let mut nodes = self.nodes.borrow_mut();
+        let needs: Vec<bool> = nodes.iter().map(|n| n.requires_grad).collect();
+        let shapes: Vec<Shape> = nodes.iter().map(|n| n.shape).collect();
+        let mut grads: Vec<Option<Tensor<T>>> = (0..=loss.id).map(|_| None).collect();
+        grads[loss.id] = Some(Tensor::full(shape, T::ONE));
+        for id in (0..=loss.id).rev() {
+            let node = &mut nodes[id];
+            if let (Some(backward), Some(grad)) = (&node.backward, &grads[id]) {
+                let grad = grad.clone();
+                if !node.keeps_grad {
+                    grads[id] = None;
+                }
+                let mut sink =
+                    GradSink { parents: &node.parents, needs: &needs, shapes: &shapes, grads: &mut grads, pool: &self.pool };
+                backward(&grad, &mut sink);
+            }
+            if free && !node.parents.is_empty() {
+                node.backward = None;
+                node.value = None;
+            }
+        }
+        Gradients { grads, shapes }
+    }
+}
+
+impl<'t, T: Scalar> Var<'t, T> {
+    /// The tape that holds this variable.
+    pub fn tape(self) -> &'t Tape<T> {
+        self.tape
+    }
+
+    /// The value.
+    ///
+    /// # Panics
+    /// When the value was freed by [`Tape::backward_and_free`].
+    #[track_caller]
+    pub fn value(self) -> Tensor<T> {
+        let nodes = self.tape.nodes.borrow();
+        let node = &nodes[self.id];
+        node.value.clone().unwrap_or_else(|| panic!("value of {} {} was freed by backward_and_free", node.op, node.shape))
+    }
+
+    /// The shape of the value.
+    pub fn shape(self) -> Shape {
+        self.tape.nodes.borrow()[self.id].shape
+    }
+
+    /// Whether a leaf is among this variable's ancestors (or it is one).
+    pub fn requires_grad(self) -> bool {
+        self.tape.nodes.borrow()[self.id].requires_grad
+    }
+
+    /// The same value cut off from its history: no gradient passes.
+    pub fn detach(self) -> Var<'t, T> {
+        self.tape.constant(self.value())
+    }
+
+    /// Asks the backward pass to keep the gradient of this intermediate variable.
+    pub fn retain_grad(self) -> Var<'t, T> {
+        let mut nodes = self.tape.nodes.borrow_mut();
+        let node = &mut nodes[self.id];
+        node.keeps_grad = node.requires_grad;
+        drop(nodes);
+        self
+    }
+}
+
+/// Gradients of one scalar.
+pub struct Gradients<T: Scalar> {
+    grads: Vec<Option<Tensor<T>>>,
+    shapes: Vec<Shape>,
+}
+
+impl<T: Scalar> Gradients<T> {
+    /// The gradient with respect to a leaf or retained variable; `None` when no path leads to it.
+    pub fn get(&self, var: Var<'_, T>) -> Option<&Tensor<T>> {
+        self.grads.get(var.id).and_then(Option::as_ref)
+    }
+
+    /// The gradient with respect to a leaf or retained variable; zeros when no path leads to it.
+    pub fn wrt(&self, var: Var<'_, T>) -> Tensor<T> {
+        self.get(var).cloned().unwrap_or_else(|| Tensor::zeros(self.shapes[var.id]))
+    }
+}
+
+/// Where an operation's backward pass puts its results: one slot for each parent.
+pub struct GradSink<'a, T: Scalar> {
+    parents: &'a [usize],
+    needs: &'a [bool],
+    shapes: &'a [Shape],
+    grads: &'a mut Vec<Option<Tensor<T>>>,
+    pool: &'a Arc<Pool<T>>,
+}
+
+impl<T: Scalar> GradSink<'_, T> {
+    /// Number of parents.
+    #[allow(clippy::len_without_is_empty, reason = "an operation without parents has no backward pass")]
+    pub fn len(&self) -> usize {
+        self.parents.len()
+    }
+
+    /// Whether the gradient of parent `k` is wanted.
+    pub fn needs(&self, k: usize) -> bool {
+        self.needs[self.parents[k]]
+    }
+
+    /// The slot of parent `k`, or `None` when its gradient is not wanted.
+    pub fn slot(&mut self, k: usize) -> Option<GradSlot<'_, T>> {
+        let id = self.parents[k];
+        self.needs[id].then(|| GradSlot { shape: self.shapes[id], grad: &mut self.grads[id], pool: self.pool })
+    }
+
+    /// A pooled scratch buffer with arbitrary contents; give it back by [`GradSink::give_back`].
+    pub fn scratch(&self, len: usize) -> Vec<T> {
+        self.pool.take(len)
+    }
+
+    /// Returns a scratch buffer to the pool.
+    pub fn give_back(&self, buffer: Vec<T>) {
+        self.pool.give(buffer);
+    }
+}
+
+/// The gradient of one parent, under accumulation.
+pub struct GradSlot<'a, T: Scalar> {
+    shape: Shape,
+    grad: &'a mut Option<Tensor<T>>,
+    pool: &'a Arc<Pool<T>>,
+}
+
+impl<T: Scalar> GradSlot<'_, T> {
+    /// Whether nothing has been contributed yet.
+    pub fn is_first(&self) -> bool {
+        self.grad.is_none()
+    }
+
+    /// The gradient so far, zeros at first; add to it.
+    pub fn as_mut_slice(&mut self) -> &mut [T] {
+        let (shape, pool) = (self.shape, self.pool);
+        self.grad
+            .get_or_insert_with(|| Tensor::pooled(shape, pool.take_zeroed(shape.len()), pool))
+            .make_mut()
+    }
+
+    /// Adds `f(i)` to element `i`, in order.
+    pub fn accumulate(&mut self, f: impl Fn(usize) -> T) {
+        for (i, g) in self.as_mut_slice().iter_mut().enumerate() {
+            *g += f(i);
+        }
+    }
+
+    /// Lets `write` fill a fresh buffer (arbitrary contents) that becomes the contribution.
+    ///
+    /// Cheaper than [`GradSlot::as_mut_slice`] for operations that compute every element: nothing is zeroed first.
+    pub fn write(&mut self, write: impl FnOnce(&mut [T])) {
+        let mut fresh = self.pool.take(self.shape.len());
+        write(&mut fresh);
+        let fresh = Tensor::pooled(self.shape, fresh, self.pool);
+        self.add_tensor(&fresh);
+    }
+
+    /// Adds a whole tensor; the first contribution is shared, not copied.
+    ///
+    /// # Panics
+    /// When the number of elements differs from the parent's.
+    #[track_caller]
+    pub fn add_tensor(&mut self, contribution: &Tensor<T>) {
+        if self.grad.is_none() {
+            *self.grad = Some(contribution.reshaped(self.shape));
+        } else {
+            crate::ops::kernel::map_add(self.as_mut_slice(), contribution.data(), |x| x);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn double<'t>(x: Var<'t, f64>) -> Var<'t, f64> {
+        let y = x.value().data().iter().map(|v| 2.0 * v).collect();
+        x.tape().push("double", Tensor::from_vec(x.shape(), y), &[x], |g, grads| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.accumulate(|i| 2.0 * g.data()[i]);
+            }
+        })
+    }
+
+    #[test]
+    fn a_graph_of_a_hundred_thousand_nodes_needs_no_recursion() {
+        let tape = Tape::new();
+        let x = tape.leaf(Tensor::scalar(1e-3));
+        let mut y = x;
+        for i in 0..100_000 {
+            y = if i % 2 == 0 { double(y) } else { y.scale(0.5) };
+        }
+        assert_eq!(y.value().item(), 1e-3);
+        assert_eq!(tape.backward_and_free(y).wrt(x).item(), 1.0);
+    }
+
+    #[test]
+    fn backward_twice_gives_the_same() {
+        let tape = Tape::new();
+        let x = tape.leaf(Tensor::scalar(3.0));
+        let y = double(double(x));
+        assert_eq!(tape.backward(y).wrt(x).item(), 4.0);
+        assert_eq!(tape.backward(y).wrt(x).item(), 4.0);
+    }
+
+    #[test]
+    fn a_detached_branch_passes_no_gradient_and_a_used_twice_variable_sums() {
+        let tape = Tape::new();
+        let x = tape.leaf(Tensor::scalar(3.0));
+        let y = x.mul(x.detach()).add(double(x));
+        assert_eq!(tape.backward(y).wrt(x).item(), 3.0 + 2.0);
+    }
+
+    #[test]
+    fn a_retained_gradient_can_be_read() {
+        let tape = Tape::new();
+        let x = tape.leaf(Tensor::scalar(3.0));
+        let middle = double(x).retain_grad();
+        let grads = tape.backward(double(middle));
+        assert_eq!(grads.wrt(middle).item(), 2.0);
+        let unused = tape.leaf(Tensor::zeros(Shape::new(1, 1, 2, 2)));
+        assert!(tape.backward(middle).get(unused).is_none());
+    }
+
+    #[test]
+    #[should_panic(expected = "was freed by backward_and_free")]
+    fn a_freed_value_says_so() {
+        let tape = Tape::new();
+        let x = tape.leaf(Tensor::scalar(3.0));
+        let y = double(x);
+        tape.backward_and_free(double(y));
+        y.value();
+    }
+}

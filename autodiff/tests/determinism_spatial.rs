@@ -1,0 +1,96 @@
+//! Spatial and normalisation operations give the same bits, forward and backward, on one, two and three threads.
+
+use dimode_autodiff::gradcheck::{random, weighted_sum};
+use dimode_autodiff::ops::bilinear_sample::SamplePadding;
+use dimode_autodiff::{Shape, Tape, Tensor, Var, par};
+
+type Op = for<'t> fn(&[Var<'t, f32>]) -> Var<'t, f32>;
+
+/// Bits of the output and of the gradients of all inputs, computed on the given number of threads.
+fn bits(threads: usize, inputs: &[[usize; 4]], op: Op) -> Vec<u32> {
+    par::with_threads(threads, || {
+        let tape = Tape::new();
+        let value = |(i, sizes): (usize, &[usize; 4])| {
+            // Values up to 20 serve as coordinates, too; they reach beyond the planes on both sides.
+            let x: Tensor<f32> = random(i as u64, Shape(*sizes), -2.0, 20.0);
+            tape.leaf(x)
+        };
+        let vars: Vec<_> = inputs.iter().enumerate().map(value).collect();
+        let y = op(&vars);
+        let grads = tape.backward(weighted_sum(y, 5));
+        let gradients = vars.iter().map(|&v| grads.wrt(v));
+        std::iter::once(y.value())
+            .chain(gradients)
+            .flat_map(|t| t.to_vec())
+            .map(f32::to_bits)
+            .collect()
+    })
+}
+
+#[track_caller]
+fn assert_same_bits(inputs: &[[usize; 4]], op: Op) {
+    let one = bits(1, inputs, op);
+    for threads in [2, 3] {
+        assert!(
+            bits(threads, inputs, op) == one,
+            "{threads} threads give other bits than one"
+        );
+    }
+}
+
+const X: [usize; 4] = [5, 7, 23, 38];
+const VECTOR: [usize; 4] = [1, 7, 1, 1];
+
+#[test]
+fn normalisation() {
+    assert_same_bits(&[X], |v| v[0].instance_norm(1e-5));
+    assert_same_bits(&[X, VECTOR, VECTOR], |v| {
+        v[0].batch_norm_train(v[1], v[2], 1e-5).y
+    });
+    assert_same_bits(&[X, VECTOR, VECTOR], |v| {
+        let mean = random(3, Shape(VECTOR), -1.0, 1.0);
+        let var = random(4, Shape(VECTOR), 0.5, 2.0);
+        v[0].batch_norm_eval(v[1], v[2], &mean, &var, 1e-5)
+    });
+}
+
+#[test]
+fn windows() {
+    assert_same_bits(&[X], |v| v[0].max_pool2d(3, 2, 1));
+    assert_same_bits(&[X], |v| v[0].avg_pool2d(3, 2, 1));
+    assert_same_bits(&[X], |v| v[0].avg_pool2d(2, 2, 0));
+    assert_same_bits(&[X], |v| v[0].box_mean(3));
+    assert_same_bits(&[X], |v| v[0].box_mean(7));
+}
+
+#[test]
+fn resizing_and_padding() {
+    assert_same_bits(&[X], |v| v[0].pad_reflect(3));
+    assert_same_bits(&[X], |v| v[0].pad_replicate(2));
+    assert_same_bits(&[X], |v| v[0].upsample_nearest(2));
+    assert_same_bits(&[X], |v| v[0].resize_bilinear(46, 76, false));
+    assert_same_bits(&[X], |v| v[0].resize_bilinear(46, 76, true));
+}
+
+#[test]
+fn sampling() {
+    assert_same_bits(&[X, [5, 2, 31, 40]], |v| {
+        v[0].bilinear_sample(v[1], SamplePadding::Border)
+    });
+    assert_same_bits(&[X, [5, 2, 31, 40]], |v| {
+        v[0].bilinear_sample(v[1], SamplePadding::Zeros)
+    });
+}
+
+#[test]
+fn correlation_and_lookup() {
+    assert_same_bits(&[[3, 9, 13, 18], [3, 9, 11, 15]], |v| {
+        v[0].correlation(v[1])
+    });
+    assert_same_bits(&[[468, 1, 9, 13], [468, 1, 4, 6], [2, 2, 13, 18]], |v| {
+        Var::correlation_lookup(&v[..2], v[2], 3)
+    });
+    assert_same_bits(&[[3, 2, 9, 13], [3, 144, 9, 13]], |v| {
+        v[0].convex_upsample(v[1], 4)
+    });
+}

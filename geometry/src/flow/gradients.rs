@@ -1,0 +1,95 @@
+//! Derivatives of the translational flow (eqs. `grad_z`, `grad_tx`, `grad_ty`, `grad_tz`).
+
+use nalgebra::{Vector2, Vector3};
+
+use super::tangential::focal_scaled;
+use crate::camera::Intrinsics;
+
+/// Partial derivatives of the flow at one pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TranslationalGradients {
+    /// With respect to the target depth, pixels per depth unit (eq. `grad_z`).
+    pub z: Vector2<f64>,
+    /// With respect to `t_x` (eq. `grad_tx`).
+    pub t_x: Vector2<f64>,
+    /// With respect to `t_y` (eq. `grad_ty`).
+    pub t_y: Vector2<f64>,
+    /// With respect to `t_z` (eq. `grad_tz`).
+    pub t_z: Vector2<f64>,
+}
+
+/// Gradients of the flow of translation `t` without rotation; `None` unless `z + t_z > 0`.
+///
+/// **Formula**: `df/dz = -[f o t - d t_z] / (z + t_z)^2`, `df/dt_x = (f_u, 0) / (z + t_z)`,
+/// `df/dt_y = (0, f_v) / (z + t_z)`, `df/dt_z = -[d z + f o t] / (z + t_z)^2`, `d = p - p0`.
+/// **Reading**: the depth gradient vanishes at the focus of expansion, which is the principal point
+/// only when there is no tangential translation.
+#[must_use]
+pub fn translational_gradients(
+    camera: &Intrinsics,
+    t: &Vector3<f64>,
+    p: &Vector2<f64>,
+    z: f64,
+) -> Option<TranslationalGradients> {
+    let source_depth = z + t.z;
+    let (d, tangential) = (p - camera.principal_point(), focal_scaled(camera, t));
+    let square = source_depth * source_depth;
+    (source_depth > 0.0).then(|| TranslationalGradients {
+        z: -(tangential - d * t.z) / square,
+        t_x: Vector2::new(camera.fu / source_depth, 0.0),
+        t_y: Vector2::new(0.0, camera.fv / source_depth),
+        t_z: -(d * z + tangential) / square,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flow::translational::{focus_of_expansion, translational_flow};
+    use crate::testing;
+    use proptest::prelude::*;
+
+    #[test]
+    fn reference_values() {
+        let (camera, t) = (testing::kitti640(), Vector3::new(0.3, -0.1, 0.6));
+        let g = translational_gradients(&camera, &t, &Vector2::new(451.0, 63.0), 12.5).unwrap();
+        assert!((g.z - Vector2::new(-0.190897966319, 0.0994347648738)).norm() < 1e-11);
+        assert!((g.t_x.x - 28.3358778626).abs() < 1e-9 && (g.t_y.y - 28.1404580153).abs() < 1e-9);
+        assert!((g.t_z - Vector2::new(-10.1908979663, 2.61851873434)).norm() < 1e-9);
+    }
+
+    #[test]
+    fn depth_gradient_vanishes_at_the_focus_not_at_the_principal_point() {
+        let (camera, t) = (testing::kitti640(), Vector3::new(0.3, 0.0, -0.8));
+        let focus = focus_of_expansion(&camera, &t).unwrap();
+        let at = |p| {
+            translational_gradients(&camera, &t, &p, 12.5)
+                .unwrap()
+                .z
+                .norm()
+        };
+        assert!((focus.x - (320.0 - 139.2)).abs() < 1e-9);
+        assert!(at(focus) < 1e-12);
+        assert!((at(camera.principal_point()) - 0.8135).abs() < 1e-4);
+    }
+
+    proptest! {
+        #[test]
+        fn match_central_differences(case in testing::case()) {
+            let (t, z, p) = (case.motion.translation, case.depth, case.pixel);
+            let f = |t: Vector3<f64>, z: f64| translational_flow(&case.camera, &t, &p, z).unwrap();
+            let g = translational_gradients(&case.camera, &t, &p, z).unwrap();
+            let h = 1e-6 * z;
+            let scale = case.camera.fu.max(case.camera.fv) / (z + t.z);
+            let difference = |dt: Vector3<f64>, dz: f64| (f(t + dt * h, z + dz * h) - f(t - dt * h, z - dz * h)) / (2.0 * h);
+            for (analytic, numeric) in [
+                (g.z, difference(Vector3::zeros(), 1.0)),
+                (g.t_x, difference(Vector3::x(), 0.0)),
+                (g.t_y, difference(Vector3::y(), 0.0)),
+                (g.t_z, difference(Vector3::z(), 0.0)),
+            ] {
+                prop_assert!((analytic - numeric).norm() < 1e-6 * scale * (1.0 + p.norm() / case.camera.fu));
+            }
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! `L_axi`: axial flows of a static scene point along the radius (eq. `la`).
+
+use dimode_autodiff::{Scalar, Tensor, Var};
+
+use super::pair::AxialProducts;
+use super::{AlignedPair, LossOptions, LossTerm};
+use crate::taped::masks;
+use crate::taped::smooth::{length, soft_abs};
+
+/// Forms of `L_axi`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AxialVariant {
+    /// Mean of `arccos(f . d / (|f| |d|))`, rad, as printed: pi at the truth of a source behind the target.
+    Literal,
+    /// The same angle by `atan2(|f x d|, f . d)`, with thresholds.
+    Signed,
+    /// `atan2(|f x d|, |f . d|)`: angle between the lines, in `[0, pi/2]`, right for either source.
+    Folded,
+    /// `atan2(|f x d|, -sign(a_z) f . d)`: the estimated radial translation says which way flows point.
+    PoseSign,
+    /// Mean distance `|f x d| / |d|` of the flow from the radial line, in pixels, over `|d| > q_min`.
+    PerpendicularPixels,
+}
+
+/// Evaluates `L_axi`.
+#[must_use]
+pub fn axial<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
+    let (per_image, mask) = match options.axial {
+        AxialVariant::Literal => literal(pair),
+        AxialVariant::PerpendicularPixels => perpendicular(pair, options),
+        AxialVariant::Signed => angle(pair, options, |p| p.along),
+        AxialVariant::Folded => angle(pair, options, |p| p.along.abs()),
+        AxialVariant::PoseSign => angle(pair, options, |p| p.along.mul(pose_sign(pair))),
+    };
+    LossTerm::new(per_image, &mask, options.min_valid_fraction)
+}
+
+/// `-sign(a_z)` at every pixel, without gradient.
+fn pose_sign<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Var<'t, T> {
+    let a = pair.translation.value();
+    let sign = Tensor::from_fn(pair.map_shape(), |n, _, _, _| {
+        if a.at(n, 2, 0, 0) > T::ZERO {
+            -T::ONE
+        } else {
+            T::ONE
+        }
+    });
+    pair.constant(&sign)
+}
+
+/// Pixels at least `q_min` from the principal point with axial flow longer than `tau_f`.
+fn directed<T: Scalar>(pair: &AlignedPair<'_, T>, q_min: f64, tau_f: f64) -> Tensor<T> {
+    let flow = pair.axial_flow.value();
+    masks::and_where(&pair.mask, |n, i| {
+        let (u, v) = (flow.plane(n, 0)[i].to_f64(), flow.plane(n, 1)[i].to_f64());
+        let radius = pair.radius_squared(n, i).sqrt();
+        radius > 0.0 && radius >= q_min && u.hypot(v) > tau_f
+    })
+}
+
+fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> (Var<'t, T>, Tensor<T>) {
+    let mask = directed(pair, 0.0, 0.0);
+    let part = |c| pair.keep(pair.axial_flow.slice(1, c, 1), &mask, 1.0);
+    let (u, v) = (part(0), part(1));
+    let (d_u, d_v) = (pair.constant(&pair.d_u), pair.constant(&pair.d_v));
+    let sizes = length(u, v, 0.0).mul(pair.constant(&pair.radius(1e-12)));
+    let cosine = u.mul(d_u).add(v.mul(d_v)).div(sizes).clamp(-1.0, 1.0);
+    // Outside the mask the angle takes the constant cosine 0.5: no infinite derivative.
+    let angle = pair.keep(cosine, &mask, 0.5).acos();
+    (angle.masked_mean(&mask), mask)
+}
+
+fn angle<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    options: &LossOptions,
+    cosine: impl Fn(AxialProducts<'t, T>) -> Var<'t, T>,
+) -> (Var<'t, T>, Tensor<T>) {
+    let mask = directed(pair, options.q_min, options.tau_f);
+    let products = pair.axial_products(&mask);
+    let across = pair.keep(products.across.abs(), &mask, 0.0);
+    let along = pair.keep(cosine(products), &mask, 1.0);
+    (across.atan2(along).masked_mean(&mask), mask)
+}
+
+fn perpendicular<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    options: &LossOptions,
+) -> (Var<'t, T>, Tensor<T>) {
+    let q_min = options.q_min.max(1e-6);
+    let mask = masks::and_where(&pair.mask, |n, i| pair.radius_squared(n, i) > q_min * q_min);
+    let distance = pair
+        .axial_products(&mask)
+        .across
+        .div(pair.constant(&pair.radius(q_min)));
+    (
+        soft_abs(distance, options.smooth_px).masked_mean(&mask),
+        mask,
+    )
+}

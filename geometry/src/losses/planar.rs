@@ -1,0 +1,125 @@
+//! `L_pla`: planar flows of a static scene are parallel (eq. `lp`).
+
+use dimode_autodiff::{Scalar, Tensor, Var};
+
+use super::{AlignedPair, LossOptions, LossTerm};
+use crate::taped::masks;
+use crate::taped::smooth::{length, soft_abs};
+
+/// Forms of `L_pla`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PlanarVariant {
+    /// Variance of `arccos(f_u / |f|)`, rad^2, as printed. The derivative is infinite for horizontal flows.
+    Literal,
+    /// Variance of the same angle by `atan2(|f_v|, f_u)` over flows longer than `tau_f`, rad^2.
+    Robust,
+    /// `2 (1 - |E[f / |f|]|)` over flows longer than `tau_f`: sees mirrored and reversed flows too.
+    Circular,
+    /// `2 (1 - |sum f| / sum |f|)`: long flows count more, no threshold.
+    Weighted,
+    /// Mean distance, in pixels, of the flow from the line along the predicted direction `f o a_tan`, over
+    /// pixels whose predicted flow `|f o a_tan| / z` exceeds `min_tangential_flow`.
+    PerpendicularPixels,
+}
+
+/// Evaluates `L_pla`.
+#[must_use]
+pub fn planar<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
+    let (per_image, mask) = match options.planar {
+        PlanarVariant::Literal => literal(pair),
+        PlanarVariant::Robust => robust(pair, options.tau_f),
+        PlanarVariant::Circular => circular(pair, options.tau_f),
+        PlanarVariant::Weighted => weighted(pair),
+        PlanarVariant::PerpendicularPixels => perpendicular(pair, options),
+    };
+    LossTerm::new(per_image, &mask, options.min_valid_fraction)
+}
+
+/// Value an image (N,1,1,1) and the mask it was taken over.
+type Masked<'t, T> = (Var<'t, T>, Tensor<T>);
+
+/// Pixels of the pair's mask with planar flow longer than `shortest`.
+fn longer_than<T: Scalar>(pair: &AlignedPair<'_, T>, shortest: f64) -> Tensor<T> {
+    let flow = pair.planar_flow.value();
+    masks::and_where(&pair.mask, |n, i| {
+        let (u, v) = (flow.plane(n, 0)[i].to_f64(), flow.plane(n, 1)[i].to_f64());
+        u.hypot(v) > shortest
+    })
+}
+
+/// Planar flow with a harmless constant outside the mask.
+fn components<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    mask: &Tensor<T>,
+) -> (Var<'t, T>, Var<'t, T>) {
+    let part = |c, filler| pair.keep(pair.planar_flow.slice(1, c, 1), mask, filler);
+    (part(0, 1.0), part(1, 1.0))
+}
+
+/// Population variance over the mask, (N,1,1,1).
+fn variance<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    x: Var<'t, T>,
+    mask: &Tensor<T>,
+) -> Var<'t, T> {
+    let centre = pair.spread(x.masked_mean(mask));
+    x.sub(centre).square().masked_mean(mask)
+}
+
+fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Masked<'t, T> {
+    let mask = longer_than(pair, 0.0);
+    let (u, v) = components(pair, &mask);
+    let cosine = u.div(length(u, v, 0.0)).clamp(-1.0, 1.0);
+    (variance(pair, cosine.acos(), &mask), mask)
+}
+
+fn robust<'t, T: Scalar>(pair: &AlignedPair<'t, T>, tau_f: f64) -> Masked<'t, T> {
+    let mask = longer_than(pair, tau_f);
+    let (u, v) = components(pair, &mask);
+    (variance(pair, v.abs().atan2(u), &mask), mask)
+}
+
+/// `2 (1 - |(x, y)|)` of per-image mean directions.
+fn spread_of<'t, T: Scalar>(x: Var<'t, T>, y: Var<'t, T>) -> Var<'t, T> {
+    length(x, y, 0.0).neg().add_scalar(1.0).scale(2.0)
+}
+
+fn circular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, tau_f: f64) -> Masked<'t, T> {
+    let mask = longer_than(pair, tau_f);
+    let (u, v) = components(pair, &mask);
+    let size = length(u, v, 0.0);
+    let mean = |f: Var<'t, T>| f.div(size).masked_mean(&mask);
+    (spread_of(mean(u), mean(v)), mask)
+}
+
+fn weighted<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Masked<'t, T> {
+    let mask = longer_than(pair, 0.0);
+    let (u, v) = components(pair, &mask);
+    let total = length(u, v, 0.0).masked_mean(&mask);
+    let mean = |f: Var<'t, T>| f.masked_mean(&mask).div_guarded(total, 1e-12);
+    (spread_of(mean(u), mean(v)), mask)
+}
+
+fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> Masked<'t, T> {
+    let x = pair.constant(&pair.focal_u).mul(pair.a(0));
+    let y = pair.constant(&pair.focal_v).mul(pair.a(1));
+    let size = length(x, y, 0.0);
+    let (depth, sizes) = (pair.target_depth.value(), size.value());
+    let mask = masks::and_where(&pair.mask, |n, i| {
+        sizes.at(n, 0, 0, 0).to_f64() > options.min_tangential_flow * depth.plane(n, 0)[i].to_f64()
+    });
+    let direction = |c: Var<'t, T>| {
+        let c = c.div_guarded(size, 1e-12);
+        pair.spread(if options.detach_direction {
+            c.detach()
+        } else {
+            c
+        })
+    };
+    let (u, v) = components(pair, &mask);
+    let distance = u.mul(direction(y)).sub(v.mul(direction(x)));
+    (
+        soft_abs(distance, options.smooth_px).masked_mean(&mask),
+        mask,
+    )
+}

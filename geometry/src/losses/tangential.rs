@@ -1,0 +1,153 @@
+//! `L_tan`: planar flow, depth and tangential translation agree (eq. `lt`).
+
+use dimode_autodiff::{Scalar, Tensor, Var};
+
+use super::{AlignedPair, LossOptions, LossTerm};
+use crate::taped::masks;
+use crate::taped::smooth::length;
+
+/// Forms of `L_tan`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TangentialVariant {
+    /// `A_x + C_x + A_y + C_y` as printed: unbounded where a flow or translation component is near zero.
+    Literal,
+    /// The same with small flow components dropped, outliers gated and the denominators of `C` bounded below.
+    Robust,
+    /// `sum_k E[|z / rho_k - a_k|] / |a|` with `z / rho_x = z f_u / fu`: linear in the flow.
+    InverseRatio,
+    /// The same equation in the image: `E[|f_pla - (f o a_tan) / z|]`, pixels.
+    FlowPixels,
+}
+
+/// Evaluates `L_tan`.
+#[must_use]
+pub fn tangential<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    options: &LossOptions,
+) -> LossTerm<'t, T> {
+    let mask = with_target_depth(pair, options.z_min);
+    let per_image = match options.tangential {
+        TangentialVariant::Literal => both_axes(|k| axis_terms(pair, &mask, k, None)),
+        TangentialVariant::Robust => both_axes(|k| axis_terms(pair, &mask, k, Some(options))),
+        TangentialVariant::InverseRatio => inverse_ratio(pair, &mask),
+        TangentialVariant::FlowPixels => flow_pixels(pair, &mask, options.smooth_px),
+    };
+    LossTerm::new(per_image, &mask, options.min_valid_fraction)
+}
+
+/// The pair's mask where the target depth is in front of the camera.
+pub(super) fn with_target_depth<T: Scalar>(pair: &AlignedPair<'_, T>, z_min: f64) -> Tensor<T> {
+    let z = pair.target_depth.value();
+    let z_min = T::from_f64(z_min);
+    masks::and_where(&pair.mask, |n, i| {
+        z.plane(n, 0)[i] > z_min && z.plane(n, 0)[i].is_finite()
+    })
+}
+
+fn both_axes<'t, T: Scalar>(term: impl Fn(usize) -> Var<'t, T>) -> Var<'t, T> {
+    term(0).add(term(1))
+}
+
+fn focal<'t, T: Scalar>(pair: &AlignedPair<'t, T>, k: usize) -> Var<'t, T> {
+    pair.constant(if k == 0 { &pair.focal_u } else { &pair.focal_v })
+}
+
+/// `z / rho_k = z f_k / focal_k`, 0 outside the mask.
+fn recovered<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, k: usize) -> Var<'t, T> {
+    let flow = pair.keep(pair.planar_flow.slice(1, k, 1), mask, 0.0);
+    pair.keep(pair.target_depth, mask, 1.0)
+        .mul(flow)
+        .div(pair.spread(focal(pair, k)))
+}
+
+/// `A_k + C_k`; thresholds only with options.
+fn axis_terms<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    mask: &Tensor<T>,
+    k: usize,
+    robust: Option<&LossOptions>,
+) -> Var<'t, T> {
+    let smallest = robust.map_or(0.0, |o| o.tau_rho);
+    let flows = pair.planar_flow.value();
+    let divisible = masks::and_where(mask, |n, i| flows.plane(n, k)[i].to_f64().abs() > smallest);
+    let flow = pair.keep(pair.planar_flow.slice(1, k, 1), &divisible, 1.0);
+    let scaled = pair.spread(focal(pair, k).mul(pair.a(k))).div(flow);
+    let pixel = pixel_term(pair, scaled, &divisible, robust.map(|o| o.gate));
+    pixel.add(aggregate_term(
+        pair,
+        recovered(pair, mask, k),
+        mask,
+        k,
+        robust,
+    ))
+}
+
+/// `A = E[|rho a - z| / z]` from `rho a`, over errors below the gate.
+pub(super) fn pixel_term<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    scaled_ratio: Var<'t, T>,
+    mask: &Tensor<T>,
+    gate: Option<f64>,
+) -> Var<'t, T> {
+    let z = pair.keep(pair.target_depth, mask, 1.0);
+    let error = pair.keep(scaled_ratio, mask, 1.0).sub(z).abs().div(z);
+    let Some(gate) = gate else {
+        return error.masked_mean(mask);
+    };
+    let values = error.value();
+    let kept = masks::and_where(mask, |n, i| values.plane(n, 0)[i].to_f64() < gate);
+    error.masked_mean(&kept)
+}
+
+/// `C = |(E[z / rho] - a_k) / a_k|`; with options the denominator is `max(|a_k|, tau_t, kappa |a|)`.
+pub(super) fn aggregate_term<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    recovered: Var<'t, T>,
+    mask: &Tensor<T>,
+    k: usize,
+    robust: Option<&LossOptions>,
+) -> Var<'t, T> {
+    let a = pair.a(k);
+    let difference = recovered.masked_mean(mask).sub(a);
+    let Some(options) = robust else {
+        return difference.div(a).abs();
+    };
+    let values = pair.translation.value();
+    let floor = Tensor::from_fn(a.shape(), |n, _, _, _| {
+        let norm = (0..3)
+            .map(|i| values.at(n, i, 0, 0).to_f64().powi(2))
+            .sum::<f64>()
+            .sqrt();
+        T::from_f64(options.tau_t.max(options.kappa * norm))
+    });
+    difference.abs().div(a.abs().maximum(pair.constant(&floor)))
+}
+
+/// `|a|`, (N,1,1,1).
+pub(super) fn translation_length<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Var<'t, T> {
+    length(length(pair.a(0), pair.a(1), 0.0), pair.a(2), 0.0)
+}
+
+fn inverse_ratio<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>) -> Var<'t, T> {
+    let residual = |k| {
+        recovered(pair, mask, k)
+            .sub(pair.spread(pair.a(k)))
+            .abs()
+            .masked_mean(mask)
+    };
+    both_axes(residual).div_guarded(translation_length(pair), 1e-9)
+}
+
+fn flow_pixels<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    mask: &Tensor<T>,
+    smooth: f64,
+) -> Var<'t, T> {
+    let z = pair.keep(pair.target_depth, mask, 1.0);
+    let residual = |k: usize| {
+        let predicted = pair.spread(focal(pair, k).mul(pair.a(k))).div(z);
+        pair.keep(pair.planar_flow.slice(1, k, 1), mask, 0.0)
+            .sub(predicted)
+    };
+    length(residual(0), residual(1), smooth).masked_mean(mask)
+}

@@ -1,0 +1,210 @@
+//! Which pixels a loss may use. Masks are tensors (N,1,H,W) of 0 and 1; none carries a gradient.
+
+use dimode_autodiff::ops::bilinear_sample::SamplePadding;
+use dimode_autodiff::{Scalar, Shape, Tape, Tensor};
+
+/// Share of the squared flow lengths allowed as forward-backward deviation.
+const OCCLUSION_SLOPE: f64 = 0.01;
+/// Squared pixels allowed as forward-backward deviation on top of that share.
+const OCCLUSION_OFFSET: f64 = 0.5;
+
+fn like(map: Shape) -> Shape {
+    Shape::new(map.n(), 1, map.h(), map.w())
+}
+
+fn from_fn<T: Scalar>(map: Shape, keep: impl Fn(usize, usize) -> bool) -> Tensor<T> {
+    let plane = map.plane();
+    let mut data = Vec::with_capacity(map.n() * plane);
+    for n in 0..map.n() {
+        data.extend((0..plane).map(|i| if keep(n, i) { T::ONE } else { T::ZERO }));
+    }
+    Tensor::from_vec(like(map), data)
+}
+
+/// All pixels.
+#[must_use]
+pub fn everywhere<T: Scalar>(map: Shape) -> Tensor<T> {
+    Tensor::full(like(map), T::ONE)
+}
+
+/// Pixels whose flow ends inside the image: `0 <= u + f_u <= W - 1`, `0 <= v + f_v <= H - 1`.
+///
+/// `flow` is (N,C,H,W) with the flow in the first two channels. Flows that are not finite are out of view.
+#[must_use]
+pub fn in_view<T: Scalar>(flow: &Tensor<T>) -> Tensor<T> {
+    let s = flow.shape();
+    let (right, bottom) = (T::from_usize(s.w() - 1), T::from_usize(s.h() - 1));
+    from_fn(s, |n, i| {
+        let u = T::from_usize(i % s.w()) + flow.plane(n, 0)[i];
+        let v = T::from_usize(i / s.w()) + flow.plane(n, 1)[i];
+        u >= T::ZERO && u <= right && v >= T::ZERO && v <= bottom
+    })
+}
+
+/// Pixels of channel `channel` above a threshold (NaN is not).
+#[must_use]
+pub fn above<T: Scalar>(map: &Tensor<T>, channel: usize, threshold: f64) -> Tensor<T> {
+    let threshold = T::from_f64(threshold);
+    from_fn(map.shape(), |n, i| map.plane(n, channel)[i] > threshold)
+}
+
+/// Static pixels: squared distance of rigid and optical flow below its mean over the image.
+///
+/// Both maps are (N,C,H,W) with the flow in the first two channels, pixels. The mean runs over `within`
+/// (all pixels when `None`), image by image; pixels outside `within` are not static.
+///
+/// **Panics** when the sizes differ.
+#[must_use]
+#[track_caller]
+pub fn static_pixels<T: Scalar>(
+    rigid: &Tensor<T>,
+    optical: &Tensor<T>,
+    within: Option<&Tensor<T>>,
+) -> Tensor<T> {
+    let s = rigid.shape();
+    assert!(
+        like(s) == like(optical.shape()),
+        "static_pixels: {s} and {} differ",
+        optical.shape()
+    );
+    let inside = |n: usize, i: usize| within.is_none_or(|m| m.plane(n, 0)[i] != T::ZERO);
+    let distance = |n: usize, i: usize| {
+        let part = |c: usize| (rigid.plane(n, c)[i] - optical.plane(n, c)[i]).to_f64();
+        part(0) * part(0) + part(1) * part(1)
+    };
+    let limits: Vec<f64> = (0..s.n())
+        .map(|n| {
+            let chosen = || (0..s.plane()).filter(|&i| inside(n, i));
+            chosen().map(|i| distance(n, i)).sum::<f64>() / chosen().count().max(1) as f64
+        })
+        .collect();
+    from_fn(s, |n, i| inside(n, i) && distance(n, i) < limits[n])
+}
+
+/// Backward flow read where the forward flow ends (bilinear, 0 outside), (N,2,H,W).
+#[must_use]
+#[track_caller]
+pub fn backward_at_forward<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Tensor<T> {
+    let tape = Tape::new();
+    let coords = tape.constant(pixels_plus(forward));
+    tape.constant(backward.clone())
+        .bilinear_sample(coords, SamplePadding::Zeros)
+        .value()
+}
+
+/// Pixel grid plus flow, (N,2,H,W).
+pub(crate) fn pixels_plus<T: Scalar>(flow: &Tensor<T>) -> Tensor<T> {
+    let s = flow.shape();
+    Tensor::from_fn(Shape::new(s.n(), 2, s.h(), s.w()), |n, c, v, u| {
+        T::from_usize(if c == 0 { u } else { v }) + flow.at(n, c, v, u)
+    })
+}
+
+/// Pixels that pass the forward-backward test: `|F + B|^2 <= 0.01 (|F|^2 + |B|^2) + 0.5`, with the
+/// backward flow `B` read where `F` ends.
+///
+/// Both flows are (N,2,H,W), pixels; `forward` leads from target to source.
+#[must_use]
+#[track_caller]
+pub fn not_occluded<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Tensor<T> {
+    let back = backward_at_forward(forward, backward);
+    from_fn(forward.shape(), |n, i| {
+        let f = |c: usize| forward.plane(n, c)[i].to_f64();
+        let b = |c: usize| back.plane(n, c)[i].to_f64();
+        let deviation = (f(0) + b(0)).powi(2) + (f(1) + b(1)).powi(2);
+        let sizes = f(0).powi(2) + f(1).powi(2) + b(0).powi(2) + b(1).powi(2);
+        deviation <= OCCLUSION_SLOPE * sizes + OCCLUSION_OFFSET
+    })
+}
+
+/// Pixels of all masks.
+///
+/// **Panics** for an empty list or different shapes.
+#[must_use]
+#[track_caller]
+pub fn all_of<T: Scalar>(masks: &[&Tensor<T>]) -> Tensor<T> {
+    let shape = masks.first().expect("all_of: no mask given").shape();
+    assert!(
+        masks.iter().all(|m| m.shape() == shape),
+        "all_of: masks of different shapes"
+    );
+    from_fn(shape, |n, i| {
+        masks.iter().all(|m| m.plane(n, 0)[i] != T::ZERO)
+    })
+}
+
+/// Pixels of a mask that also satisfy a test on (sample, flat pixel index).
+pub(crate) fn and_where<T: Scalar>(
+    mask: &Tensor<T>,
+    keep: impl Fn(usize, usize) -> bool,
+) -> Tensor<T> {
+    from_fn(mask.shape(), |n, i| {
+        mask.plane(n, 0)[i] != T::ZERO && keep(n, i)
+    })
+}
+
+/// Number of pixels of a mask, image by image.
+#[must_use]
+pub fn counts<T: Scalar>(mask: &Tensor<T>) -> Vec<usize> {
+    (0..mask.shape().n())
+        .map(|n| mask.plane(n, 0).iter().filter(|&&m| m != T::ZERO).count())
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flow(u: [f64; 4], v: [f64; 4]) -> Tensor<f64> {
+        Tensor::from_vec(Shape::new(1, 2, 2, 2), [u, v].concat())
+    }
+
+    #[test]
+    fn borders_belong_to_the_view() {
+        let mask = in_view(&flow([1.0, 0.0, 1.001, f64::NAN], [0.0, 1.0, 0.0, 0.0]));
+        assert_eq!(mask.to_vec(), [1.0, 1.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn one_outlier_is_not_static() {
+        let (zero, moved) = (
+            flow([0.0; 4], [0.0; 4]),
+            flow([0.1, 0.2, 3.0, 0.1], [0.0; 4]),
+        );
+        assert_eq!(
+            static_pixels(&zero, &moved, None).to_vec(),
+            [1.0, 1.0, 0.0, 1.0]
+        );
+        let within = Tensor::from_vec(Shape::new(1, 1, 2, 2), vec![1.0, 1.0, 0.0, 1.0]);
+        assert_eq!(
+            static_pixels(&zero, &moved, Some(&within)).to_vec(),
+            [1.0, 0.0, 0.0, 1.0]
+        );
+    }
+
+    #[test]
+    fn opposite_flows_agree_and_equal_ones_do_not() {
+        let forward = flow([1.0, 0.0, 0.0, 0.0], [0.0; 4]);
+        let good = flow([0.0, -1.0, 0.0, 0.0], [0.0; 4]);
+        assert_eq!(not_occluded(&forward, &good).to_vec(), [1.0, 0.0, 1.0, 1.0]);
+    }
+
+    #[test]
+    fn combinations() {
+        let m = |v: [f64; 4]| Tensor::from_vec(Shape::new(1, 1, 2, 2), v.to_vec());
+        let both = all_of(&[&m([1.0, 1.0, 0.0, 1.0]), &m([0.0, 1.0, 1.0, 1.0])]);
+        assert_eq!(
+            (both.to_vec(), counts(&both)),
+            (vec![0.0, 1.0, 0.0, 1.0], vec![2])
+        );
+        assert_eq!(
+            above(&m([0.1, 0.2, f64::NAN, -1.0]), 0, 0.1).to_vec(),
+            [0.0, 1.0, 0.0, 0.0]
+        );
+        assert_eq!(
+            and_where(&both, |_, i| i > 2).to_vec(),
+            [0.0, 0.0, 0.0, 1.0]
+        );
+        assert_eq!(everywhere::<f32>(Shape::new(1, 2, 1, 3)).to_vec(), [1.0; 3]);
+    }
+}

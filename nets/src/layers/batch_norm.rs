@@ -1,0 +1,113 @@
+//! Batch normalisation with running statistics.
+
+use dimode_autodiff::{Scalar, Tensor, Var};
+
+use crate::{Binder, Blueprint, Init, Mode, StatisticsUpdate};
+
+/// Added to the variance before the square root.
+const EPSILON: f64 = 1e-5;
+
+/// Batch normalisation over N, H and W: `path.weight`, `.bias`, `.running_mean`, `.running_var`,
+/// all of dimension (channels).
+///
+/// In [`Mode::Train`] the biased variance of the batch normalises and the unbiased one is handed
+/// to the binder for the running value; in [`Mode::Eval`] the running values are used.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BatchNorm {
+    path: String,
+    channels: usize,
+}
+
+impl BatchNorm {
+    /// The layer stored at `path`.
+    pub fn new(path: impl Into<String>, channels: usize) -> Self {
+        Self {
+            path: path.into(),
+            channels,
+        }
+    }
+
+    fn part(&self, part: &str) -> String {
+        format!("{}.{part}", self.path)
+    }
+
+    /// Adds scale, offset and running statistics to the list.
+    pub fn declare(&self, blueprint: &mut Blueprint) {
+        let dims = [self.channels];
+        blueprint.parameter(self.part("weight"), &dims, Init::Constant(1.0));
+        blueprint.parameter(self.part("bias"), &dims, Init::Constant(0.0));
+        blueprint.buffer(self.part("running_mean"), &dims, Init::Constant(0.0));
+        blueprint.buffer(self.part("running_var"), &dims, Init::Constant(1.0));
+    }
+
+    /// (N, C, H, W) -> the same.
+    pub fn forward<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
+        let gamma = binder.param(&self.part("weight"));
+        let beta = binder.param(&self.part("bias"));
+        match binder.mode() {
+            Mode::Eval => {
+                let mean = binder.buffer(&self.part("running_mean"));
+                let variance = binder.buffer(&self.part("running_var"));
+                x.batch_norm_eval(gamma, beta, mean, variance, EPSILON)
+            }
+            Mode::Train => {
+                let out = x.batch_norm_train(gamma, beta, EPSILON);
+                let count = x.shape().n() * x.shape().plane();
+                binder.record_statistics(StatisticsUpdate {
+                    layer: self.path.clone(),
+                    mean: out.mean,
+                    variance: unbiased(&out.var, count),
+                });
+                out.y
+            }
+        }
+    }
+}
+
+/// Bessel's correction; a single value keeps its variance of zero.
+fn unbiased<T: Scalar>(biased: &Tensor<T>, count: usize) -> Tensor<T> {
+    let factor = T::from_f64(count as f64 / count.saturating_sub(1).max(1) as f64);
+    let values = biased.data().iter().map(|&v| v * factor).collect();
+    Tensor::from_vec(biased.shape(), values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dimode_autodiff::{Shape, Tape};
+
+    #[test]
+    fn running_statistics_use_the_unbiased_variance() {
+        let layer = BatchNorm::new("net:bn", 1);
+        let mut blueprint = Blueprint::new();
+        layer.declare(&mut blueprint);
+        let mut params = blueprint.init::<f64>(0);
+        let tape = Tape::new();
+        let mut binder = Binder::new(&tape, &params, Mode::Train);
+        let x = tape.constant(Tensor::from_vec(
+            Shape::new(2, 1, 1, 2),
+            vec![1.0, 2.0, 3.0, 6.0],
+        ));
+        let y = layer.forward(&mut binder, x).value();
+        // Mean 3, biased variance 3.5, unbiased 14/3.
+        assert!((y.data()[0] + 2.0 / (3.5f64 + 1e-5).sqrt()).abs() < 1e-12);
+        params.apply_statistics(&binder.into_statistics());
+        let of = |path: &str| params.get(path).unwrap().tensor().item();
+        assert!((of("net:bn.running_mean") - 0.3).abs() < 1e-12);
+        assert!((of("net:bn.running_var") - (0.9 + 0.1 * 14.0 / 3.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn eval_reports_no_statistics() {
+        let layer = BatchNorm::new("net:bn", 1);
+        let mut blueprint = Blueprint::new();
+        layer.declare(&mut blueprint);
+        let params = blueprint.init::<f64>(0);
+        let tape = Tape::new();
+        let mut binder = Binder::new(&tape, &params, Mode::Eval);
+        let x = tape.constant(Tensor::full(Shape::new(1, 1, 1, 2), 2.0));
+        let y = layer.forward(&mut binder, x).value();
+        assert!((y.data()[0] - 2.0 / (1.0f64 + 1e-5).sqrt()).abs() < 1e-12);
+        assert!(binder.statistics().is_empty());
+    }
+}

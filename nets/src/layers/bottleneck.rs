@@ -1,0 +1,78 @@
+//! The narrow residual block of the small RAFT encoders.
+
+use dimode_autodiff::{Scalar, Var};
+
+use super::ConvLayer;
+use crate::{Binder, Blueprint};
+
+/// Added to the variance of instance normalisation.
+const EPSILON: f64 = 1e-5;
+
+/// Normalisation after a convolution, without parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Norm {
+    /// None.
+    None,
+    /// Per image and channel over height and width, the same in training and evaluation.
+    Instance,
+}
+
+impl Norm {
+    /// (N, C, H, W) -> the same.
+    pub fn forward<'t, T: Scalar>(self, x: Var<'t, T>) -> Var<'t, T> {
+        match self {
+            Self::None => x,
+            Self::Instance => x.instance_norm(EPSILON),
+        }
+    }
+}
+
+/// 1x1 to a quarter of the width, 3x3 with the stride, 1x1 to the full width, each followed by
+/// norm and ReLU; then `ReLU(skip + y)`. Note the ReLU on `y` before the sum.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bottleneck {
+    convs: [ConvLayer; 3],
+    skip: Option<ConvLayer>,
+    norm: Norm,
+}
+
+impl Bottleneck {
+    /// The block stored under `path`. A skip convolution exists where stride or width change.
+    pub fn new(path: &str, inputs: usize, outputs: usize, stride: usize, norm: Norm) -> Self {
+        let conv = |name: &str, inputs, outputs, kernel| {
+            ConvLayer::new(format!("{path}.{name}"), inputs, outputs, kernel).kaiming()
+        };
+        let narrow = outputs / 4;
+        let changes = stride != 1 || inputs != outputs;
+        Self {
+            convs: [
+                conv("conv1", inputs, narrow, 1),
+                conv("conv2", narrow, narrow, 3).stride(stride),
+                conv("conv3", narrow, outputs, 1),
+            ],
+            skip: changes.then(|| conv("downsample.0", inputs, outputs, 1).stride(stride)),
+            norm,
+        }
+    }
+
+    /// Adds the tensors of the block to the list.
+    pub fn declare(&self, blueprint: &mut Blueprint) {
+        self.convs.iter().for_each(|conv| conv.declare(blueprint));
+        if let Some(conv) = &self.skip {
+            conv.declare(blueprint);
+        }
+    }
+
+    /// (N, in, H, W) -> (N, out, H / stride, W / stride).
+    pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
+        let mut y = x;
+        for conv in &self.convs {
+            y = self.norm.forward(conv.forward(binder, y)).relu();
+        }
+        let skip = match &self.skip {
+            None => x,
+            Some(conv) => self.norm.forward(conv.forward(binder, x)),
+        };
+        skip.add(y).relu()
+    }
+}

@@ -1,0 +1,115 @@
+//! A convolution with named weight and optional bias.
+
+use dimode_autodiff::{Conv2d, PadMode, Scalar, Var};
+
+use crate::{Binder, Blueprint, Init};
+
+/// Convolution layer: `path.weight` of dimensions (out, in / groups, kh, kw) and, unless switched
+/// off, `path.bias` (out).
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConvLayer {
+    path: String,
+    inputs: usize,
+    outputs: usize,
+    kernel: (usize, usize),
+    options: Conv2d,
+    bias: bool,
+    kaiming: bool,
+}
+
+impl ConvLayer {
+    /// A square kernel with stride 1, "same" zero padding for odd kernels, and a bias.
+    pub fn new(path: impl Into<String>, inputs: usize, outputs: usize, kernel: usize) -> Self {
+        let padding = kernel / 2;
+        Self {
+            path: path.into(),
+            inputs,
+            outputs,
+            kernel: (kernel, kernel),
+            options: Conv2d {
+                stride: (1, 1),
+                padding: (padding, padding),
+                dilation: (1, 1),
+                groups: 1,
+                pad_mode: PadMode::Zero,
+            },
+            bias: true,
+            kaiming: false,
+        }
+    }
+
+    /// With another stride, the same along both axes.
+    #[must_use]
+    pub fn stride(mut self, stride: usize) -> Self {
+        self.options.stride = (stride, stride);
+        self
+    }
+
+    /// Depth-wise with a dilation: one group per channel, padding equal to the dilation.
+    #[must_use]
+    pub fn depthwise(mut self, dilation: usize) -> Self {
+        self.options.groups = self.inputs;
+        self.options.dilation = (dilation, dilation);
+        self.options.padding = (dilation, dilation);
+        self
+    }
+
+    /// Without a bias.
+    #[must_use]
+    pub fn without_bias(mut self) -> Self {
+        self.bias = false;
+        self
+    }
+
+    /// With reflection of the input at the border in place of zeros.
+    #[must_use]
+    pub fn reflect(mut self) -> Self {
+        self.options.pad_mode = PadMode::Reflect;
+        self
+    }
+
+    /// With weights that start Kaiming normal (fan-out) in place of uniform.
+    #[must_use]
+    pub fn kaiming(mut self) -> Self {
+        self.kaiming = true;
+        self
+    }
+
+    /// Path of the weight.
+    pub fn weight_path(&self) -> String {
+        format!("{}.weight", self.path)
+    }
+
+    /// Path of the bias.
+    pub fn bias_path(&self) -> String {
+        format!("{}.bias", self.path)
+    }
+
+    /// Options of the convolution.
+    pub fn options(&self) -> Conv2d {
+        self.options
+    }
+
+    /// Adds weight and bias to the list.
+    pub fn declare(&self, blueprint: &mut Blueprint) {
+        let (kh, kw) = self.kernel;
+        let inputs = self.inputs / self.options.groups;
+        let default = Init::fan_in(inputs * kh * kw);
+        let weight = if self.kaiming {
+            Init::kaiming_fan_out(self.outputs * kh * kw)
+        } else {
+            default
+        };
+        blueprint.parameter(self.weight_path(), &[self.outputs, inputs, kh, kw], weight);
+        if self.bias {
+            blueprint.parameter(self.bias_path(), &[self.outputs], default);
+        }
+    }
+
+    /// (N, in, H, W) -> (N, out, H', W').
+    pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
+        let weight = binder.param(&self.weight_path());
+        let bias = self.bias.then(|| binder.param(&self.bias_path()));
+        x.conv2d(weight, bias, self.options)
+    }
+}

@@ -1,0 +1,36 @@
+//! The unit of the depth decoders: 3x3 convolution over a reflected border, then ELU.
+
+use dimode_autodiff::{Scalar, Var};
+
+use super::ConvLayer;
+use crate::{Binder, Blueprint};
+
+/// Reflection padding by one pixel, 3x3 convolution with bias, ELU with alpha 1.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReflectConv {
+    conv: ConvLayer,
+}
+
+impl ReflectConv {
+    /// The unit whose convolution is stored at `path`.
+    pub fn new(path: impl Into<String>, inputs: usize, outputs: usize) -> Self {
+        Self {
+            conv: ConvLayer::new(path, inputs, outputs, 3).reflect(),
+        }
+    }
+
+    /// Adds weight and bias to the list.
+    pub fn declare(&self, blueprint: &mut Blueprint) {
+        self.conv.declare(blueprint);
+    }
+
+    /// (N, in, H, W) -> (N, out, H, W); height and width at least 2.
+    pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
+        self.linear(binder, x).elu()
+    }
+
+    /// The same without the ELU, for heads.
+    pub fn linear<'t, T: Scalar>(&self, binder: &Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
+        self.conv.forward(binder, x)
+    }
+}

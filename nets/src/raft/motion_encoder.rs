@@ -1,0 +1,52 @@
+//! Features of the current flow and of what the correlation says about it.
+
+use dimode_autodiff::{Scalar, Var};
+
+use super::FlowNetConfig;
+use crate::layers::ConvLayer;
+use crate::{Binder, Blueprint};
+
+/// Two branches, joined by a 3x3 convolution.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct MotionEncoder {
+    correlation: ConvLayer,
+    flow: [ConvLayer; 2],
+    joint: ConvLayer,
+}
+
+impl MotionEncoder {
+    pub(super) fn new(path: &str, config: &FlowNetConfig) -> Self {
+        let conv = |name: &str, inputs, outputs, kernel| {
+            ConvLayer::new(format!("{path}.{name}"), inputs, outputs, kernel)
+        };
+        let [wide, narrow] = config.flow;
+        Self {
+            correlation: conv("convc1", config.lookup_channels(), config.correlation, 1),
+            flow: [conv("convf1", 2, wide, 7), conv("convf2", wide, narrow, 3)],
+            joint: conv("conv", config.correlation + narrow, config.motion, 3),
+        }
+    }
+
+    pub(super) fn declare(&self, blueprint: &mut Blueprint) {
+        self.correlation.declare(blueprint);
+        self.flow.iter().for_each(|conv| conv.declare(blueprint));
+        self.joint.declare(blueprint);
+    }
+
+    /// Look-up (N, L, h, w) and flow (N, 2, h, w) -> (N, motion + 2, h, w), the flow itself last.
+    pub(super) fn forward<'t, T: Scalar>(
+        &self,
+        binder: &Binder<'t, T>,
+        lookup: Var<'t, T>,
+        flow: Var<'t, T>,
+    ) -> Var<'t, T> {
+        let correlation = self.correlation.forward(binder, lookup).relu();
+        let mut branch = flow;
+        for conv in &self.flow {
+            branch = conv.forward(binder, branch).relu();
+        }
+        let joint = Var::concat(&[correlation, branch], 1);
+        let motion = self.joint.forward(binder, joint).relu();
+        Var::concat(&[motion, flow], 1)
+    }
+}

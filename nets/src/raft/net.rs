@@ -1,0 +1,234 @@
+//! The flow network: encoders, correlation pyramid, refinement, upsampling.
+
+use dimode_autodiff::{Scalar, Shape, Tape, Tensor, Var};
+
+use super::FlowNetConfig;
+use super::encoder::Encoder;
+use super::update::UpdateBlock;
+use crate::layers::Norm;
+use crate::{Binder, Blueprint, Network, ParamSet};
+
+/// Range of the pixel values handed to the flow network.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ImageRange {
+    /// [0, 1], as for all other networks here.
+    #[default]
+    Unit,
+    /// [0, 255], as in the reference.
+    Byte,
+}
+
+/// How to run the flow network.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FlowOptions {
+    /// Refinement steps; `None` takes the number of the configuration.
+    pub iterations: Option<usize>,
+    /// Range of the pixel values.
+    pub range: ImageRange,
+    /// Return the last flow only, and upsample only that.
+    pub last_only: bool,
+}
+
+/// Everything worth looking at in one forward pass. Sizes: H x W of the images, h x w of the
+/// coarse grid, that is H / factor and W / factor.
+#[derive(Clone)]
+pub struct FlowTrace<'t, T: Scalar> {
+    /// Flows in pixels of the image, (N, 2, H, W), channel 0 along u; one per iteration in order,
+    /// or the last alone.
+    pub flows: Vec<Var<'t, T>>,
+    /// Flow increment of each iteration, in cells, (N, 2, h, w).
+    pub deltas: Vec<Var<'t, T>>,
+    /// Features of both images, first image's batch then second's, (2 N, features, h, w).
+    pub features: Var<'t, T>,
+    /// Output of the context encoder, (N, hidden + context, h, w).
+    pub context: Var<'t, T>,
+    /// Result of the first look-up, (N, levels (2 radius + 1)^2, h, w).
+    pub first_lookup: Option<Var<'t, T>>,
+    /// Hidden state at the end, (N, hidden, h, w).
+    pub hidden: Var<'t, T>,
+}
+
+/// Optical flow from two images. All tensors are in the checkpoint file `raft`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FlowNet {
+    config: FlowNetConfig,
+    features: Encoder,
+    context: Encoder,
+    update: UpdateBlock,
+}
+
+impl FlowNet {
+    /// The network of the given sizes.
+    pub fn new(config: FlowNetConfig) -> Self {
+        let state = config.hidden + config.context;
+        Self {
+            features: Encoder::new("raft:fnet", &config, config.features, Norm::Instance),
+            context: Encoder::new("raft:cnet", &config, state, Norm::None),
+            update: UpdateBlock::new("raft:update_block", &config),
+            config,
+        }
+    }
+
+    /// Sizes.
+    pub fn config(&self) -> &FlowNetConfig {
+        &self.config
+    }
+
+    /// Flow from the first to the second image after each of `iterations` refinements:
+    /// images in **[0, 1]**, (N, 3, H, W) -> (N, 2, H, W) in pixels, channel 0 along u.
+    ///
+    /// # Panics
+    /// As [`FlowNet::trace`].
+    #[track_caller]
+    pub fn forward<'t, T: Scalar>(
+        &self,
+        binder: &Binder<'t, T>,
+        first: Var<'t, T>,
+        second: Var<'t, T>,
+        iterations: usize,
+    ) -> Vec<Var<'t, T>> {
+        let options = FlowOptions {
+            iterations: Some(iterations),
+            ..FlowOptions::default()
+        };
+        self.trace(binder, first, second, &options).flows
+    }
+
+    /// The last flow alone, without gradients; images in [0, 1], `None` for the configured number
+    /// of refinements.
+    ///
+    /// # Panics
+    /// As [`FlowNet::trace`].
+    #[track_caller]
+    pub fn predict<T: Scalar>(
+        &self,
+        params: &ParamSet<T>,
+        first: &Tensor<T>,
+        second: &Tensor<T>,
+        iterations: Option<usize>,
+    ) -> Tensor<T> {
+        let tape = Tape::new();
+        let binder = Binder::frozen(&tape, params);
+        let (first, second) = (tape.constant(first.clone()), tape.constant(second.clone()));
+        let options = FlowOptions {
+            iterations,
+            last_only: true,
+            ..FlowOptions::default()
+        };
+        self.trace(&binder, first, second, &options).flows[0].value()
+    }
+
+    /// The forward pass with all its stages.
+    ///
+    /// # Panics
+    /// When the images differ in shape, their size is not a multiple of the factor, the coarsest
+    /// correlation map would be empty, or no iteration is asked for.
+    #[track_caller]
+    pub fn trace<'t, T: Scalar>(
+        &self,
+        binder: &Binder<'t, T>,
+        first: Var<'t, T>,
+        second: Var<'t, T>,
+        options: &FlowOptions,
+    ) -> FlowTrace<'t, T> {
+        let iterations = options.iterations.unwrap_or(self.config.iterations);
+        self.check(first.shape(), second.shape(), iterations);
+        let (first, second) = (
+            normalise(first, options.range),
+            normalise(second, options.range),
+        );
+        let batch = first.shape().n();
+        let features = Var::concat(&[first, second], 0);
+        let features = self.features.forward(binder, features);
+        let pyramid = self.pyramid(features.slice(0, 0, batch), features.slice(0, batch, batch));
+        let context = self.context.forward(binder, first);
+        let (h, c) = (self.config.hidden, self.config.context);
+        let mut hidden = context.slice(1, 0, h).tanh();
+        let gru = self.update.prepare(binder, context.slice(1, h, c).relu());
+
+        let grid = binder.tape().constant(pixel_grid(hidden.shape()));
+        let mut flow = binder.tape().constant(Tensor::zeros(grid.shape()));
+        let (mut flows, mut deltas, mut first_lookup) = (Vec::new(), Vec::new(), None);
+        for iteration in 0..iterations {
+            flow = flow.detach();
+            let lookup = Var::correlation_lookup(&pyramid, grid.add(flow), self.config.radius);
+            first_lookup.get_or_insert(lookup);
+            let (state, delta) = self.update.step(binder, &gru, hidden, lookup, flow);
+            hidden = state;
+            flow = flow.add(delta);
+            deltas.push(delta);
+            if !options.last_only || iteration + 1 == iterations {
+                flows.push(self.upsample(flow));
+            }
+        }
+        FlowTrace {
+            flows,
+            deltas,
+            features,
+            context,
+            first_lookup,
+            hidden,
+        }
+    }
+
+    #[track_caller]
+    fn check(&self, first: Shape, second: Shape, iterations: usize) {
+        let factor = self.config.factor();
+        let coarsest = factor << (self.config.levels - 1);
+        assert_eq!(
+            first, second,
+            "flow network: the two images differ in shape"
+        );
+        assert!(
+            [first.h(), first.w()]
+                .iter()
+                .all(|&s| s.is_multiple_of(factor) && s >= coarsest),
+            "flow network: height and width of {first:?} must be multiples of {factor}, \
+             at least {coarsest}"
+        );
+        assert!(iterations > 0, "flow network: at least one iteration");
+    }
+
+    /// All-pairs correlation at level 0, halved over the second image at each further level.
+    fn pyramid<'t, T: Scalar>(&self, first: Var<'t, T>, second: Var<'t, T>) -> Vec<Var<'t, T>> {
+        let mut pyramid = vec![first.correlation(second)];
+        for level in 1..self.config.levels {
+            pyramid.push(pyramid[level - 1].avg_pool2d(2, 2, 0));
+        }
+        pyramid
+    }
+
+    /// Bilinear with aligned corners; the values grow with the size.
+    fn upsample<'t, T: Scalar>(&self, flow: Var<'t, T>) -> Var<'t, T> {
+        let factor = self.config.factor();
+        let (h, w) = (flow.shape().h() * factor, flow.shape().w() * factor);
+        flow.resize_bilinear(h, w, true).scale(factor as f64)
+    }
+}
+
+impl Network for FlowNet {
+    fn blueprint(&self) -> Blueprint {
+        let mut blueprint = Blueprint::new();
+        self.features.declare(&mut blueprint);
+        self.context.declare(&mut blueprint);
+        self.update.declare(&mut blueprint);
+        blueprint
+    }
+}
+
+/// To [-1, 1].
+fn normalise<T: Scalar>(images: Var<'_, T>, range: ImageRange) -> Var<'_, T> {
+    let scale = match range {
+        ImageRange::Unit => 2.0,
+        ImageRange::Byte => 2.0 / 255.0,
+    };
+    images.scale(scale).add_scalar(-1.0)
+}
+
+/// Column in channel 0, row in channel 1, for a map of the given batch and size.
+fn pixel_grid<T: Scalar>(map: Shape) -> Tensor<T> {
+    let shape = Shape::new(map.n(), 2, map.h(), map.w());
+    Tensor::from_fn(shape, |_, c, row, column| {
+        T::from_usize(if c == 0 { column } else { row })
+    })
+}

@@ -1,0 +1,123 @@
+//! Tests of reading and writing weights.
+
+use super::*;
+use crate::{Blueprint, Init, Kind};
+
+fn blueprint() -> Blueprint {
+    let mut b = Blueprint::new();
+    b.parameter("net:conv.weight".into(), &[4, 3, 3, 3], Init::fan_in(27));
+    b.parameter("net:fc.weight".into(), &[5, 4], Init::fan_in(4));
+    b.buffer("net:bn.running_mean".into(), &[4], Init::fan_in(1));
+    b.parameter("head:scale".into(), &[2], Init::fan_in(1));
+    b
+}
+
+fn values<T: Scalar>(set: &ParamSet<T>) -> Vec<(String, Vec<usize>, Vec<f64>)> {
+    let values = |e: &crate::Entry<T>| e.tensor().data().iter().map(|v| v.to_f64()).collect();
+    set.iter()
+        .map(|(path, e)| (path, e.dims().to_vec(), values(e)))
+        .collect()
+}
+
+fn scratch(name: &str) -> PathBuf {
+    let directory = std::env::temp_dir().join(format!("dimode-nets-{}-{name}", std::process::id()));
+    fs::create_dir_all(&directory).unwrap();
+    directory
+}
+
+fn round_trip<T: Scalar>(name: &str) {
+    let directory = scratch(name);
+    let saved = blueprint().init::<T>(1);
+    let mut loaded = blueprint().init::<T>(2);
+    assert_ne!(values(&saved), values(&loaded));
+    save_directory(&directory, &saved).unwrap();
+    load_directory(&directory, &mut loaded).unwrap();
+    assert_eq!(values(&saved), values(&loaded));
+    let names: Vec<String> = fs::read_dir(&directory)
+        .unwrap()
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .collect();
+    assert_eq!(names.len(), 2, "no temporary file stays: {names:?}");
+    fs::remove_dir_all(&directory).unwrap();
+}
+
+#[test]
+fn saved_weights_come_back_bit_for_bit() {
+    round_trip::<f32>("f32");
+    round_trip::<f64>("f64");
+}
+
+#[test]
+fn all_differences_are_listed_and_nothing_changes() {
+    let mut params = blueprint().init::<f64>(1).file("net").unwrap().clone();
+    let before = params.get("conv.weight").unwrap().tensor().to_vec();
+    let stored = |name: &str, dims: &[usize]| StoredTensor {
+        name: name.to_owned(),
+        dims: dims.to_vec(),
+        values: vec![0.0; dims.iter().product()],
+    };
+    let given = vec![
+        stored("conv.weight", &[4, 3, 3, 3]),
+        stored("fc.weight", &[4, 5]),
+        stored("surplus", &[1]),
+    ];
+    let error = assign(&mut params, given, "test.safetensors").unwrap_err();
+    let text = error.to_string();
+    let WeightError::Mismatch {
+        missing,
+        extra,
+        misshapen,
+        ..
+    } = error
+    else {
+        panic!("wrong kind: {text}");
+    };
+    assert_eq!(missing, ["bn.running_mean"]);
+    assert_eq!(extra, ["surplus"]);
+    assert_eq!(misshapen[0].expected, [5, 4]);
+    assert_eq!(misshapen[0].found, [4, 5]);
+    for part in ["test.safetensors", "bn.running_mean", "surplus", "[4, 5]"] {
+        assert!(text.contains(part), "{text}");
+    }
+    assert_eq!(params.get("conv.weight").unwrap().tensor().to_vec(), before);
+}
+
+#[test]
+fn wrapper_prefix_and_counters_are_accepted() {
+    let one = 1i64.to_le_bytes();
+    let value = 2.5f32.to_le_bytes();
+    let views = vec![
+        (
+            "module.scale",
+            TensorView::new(Dtype::F32, vec![1], &value).unwrap(),
+        ),
+        (
+            "module.bn.num_batches_tracked",
+            TensorView::new(Dtype::I64, vec![], &one).unwrap(),
+        ),
+    ];
+    let bytes = safetensors::serialize(views, None).unwrap();
+    let mut params = Params::<f64>::new();
+    let zero = Tensor::zeros(shape_of(&[1]));
+    params.insert("scale", crate::Entry::new(vec![1], Kind::Parameter, zero));
+    assign(&mut params, parse(&bytes, "memory").unwrap(), "memory").unwrap();
+    assert_eq!(params.get("scale").unwrap().tensor().item(), 2.5);
+}
+
+#[test]
+fn other_element_types_are_refused_by_name() {
+    let one = 1i64.to_le_bytes();
+    let view = TensorView::new(Dtype::I64, vec![1], &one).unwrap();
+    let bytes = safetensors::serialize(vec![("count", view)], None).unwrap();
+    let text = parse(&bytes, "memory").unwrap_err().to_string();
+    assert!(text.contains("'count'") && text.contains("I64"), "{text}");
+}
+
+#[test]
+fn damaged_files_are_errors() {
+    let bytes = to_bytes(blueprint().init::<f32>(1).file("net").unwrap()).unwrap();
+    for cut in [0, 4, 20, bytes.len() - 1] {
+        let result = parse(&bytes[..cut], "cut");
+        assert!(matches!(result, Err(WeightError::Format { .. })), "{cut}");
+    }
+}

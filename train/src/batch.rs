@@ -1,0 +1,101 @@
+//! Snippets as tensors: plain images for the losses, augmented ones for the networks.
+
+use dimode_autodiff::{Tensor, par};
+use dimode_geometry::Intrinsics;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::config::TrainConfig;
+use crate::data::{DataError, Dataset, Image, Jitter, flip_snippet, snippet};
+use crate::model::stack;
+
+/// Three images each, `[n, 3, h, w]`, colours in [0, 1].
+#[derive(Clone, Debug)]
+pub struct Images {
+    /// Middle frames.
+    pub target: Tensor<f32>,
+    /// Frames before.
+    pub previous: Tensor<f32>,
+    /// Frames after.
+    pub next: Tensor<f32>,
+}
+
+/// The data of one step.
+#[derive(Clone, Debug)]
+pub struct Batch {
+    /// Name of each sample, for messages.
+    pub names: Vec<String>,
+    /// Images as they are: what the losses compare.
+    pub plain: Images,
+    /// Images as the depth and pose networks see them.
+    pub seen: Images,
+    /// Camera of each sample.
+    pub intrinsics: Vec<Intrinsics>,
+}
+
+impl Batch {
+    /// Loads and augments the snippets `(sequence, target frame)` of a step. Sample `i` of step `s` draws from stream
+    /// `s * n + i` of the seed.
+    ///
+    /// # Errors
+    /// When a frame cannot be read.
+    pub fn load(
+        dataset: &dyn Dataset,
+        items: &[(usize, usize)],
+        config: &TrainConfig,
+        seed: u64,
+        step: u64,
+    ) -> Result<Batch, DataError> {
+        let samples = par::map_indices(items.len(), |i| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x6175_676d);
+            rng.set_stream(step * items.len() as u64 + i as u64);
+            sample(dataset, items[i], config, &mut rng)
+        });
+        let samples = samples.into_iter().collect::<Result<Vec<_>, _>>()?;
+        let images = |pick: fn(&Sample) -> &[Image; 3]| Images {
+            previous: stack(samples.iter().map(|s| &pick(s)[0])),
+            target: stack(samples.iter().map(|s| &pick(s)[1])),
+            next: stack(samples.iter().map(|s| &pick(s)[2])),
+        };
+        Ok(Batch {
+            names: samples.iter().map(|s| s.name.clone()).collect(),
+            plain: images(|s| &s.plain),
+            seen: images(|s| &s.seen),
+            intrinsics: samples.iter().map(|s| s.intrinsics).collect(),
+        })
+    }
+}
+
+struct Sample {
+    name: String,
+    plain: [Image; 3],
+    seen: [Image; 3],
+    intrinsics: Intrinsics,
+}
+
+fn sample(
+    dataset: &dyn Dataset,
+    (sequence, frame): (usize, usize),
+    config: &TrainConfig,
+    rng: &mut ChaCha8Rng,
+) -> Result<Sample, DataError> {
+    let mut taken = snippet(dataset, sequence, frame)?;
+    // Drawn whether used or not, so that one option does not change the random numbers of another.
+    let (flip, jitter, draw) = (rng.random::<f64>() < 0.5, rng.random::<f64>() < 0.5, Jitter::draw(rng));
+    if flip && config.flip {
+        taken = flip_snippet(&taken);
+    }
+    let plain = [&taken.sources[0], &taken.target, &taken.sources[1]].map(|f| f.image.clone());
+    let seen = if jitter && config.jitter { plain.each_ref().map(|i| draw.apply(i)) } else { plain.clone() };
+    Ok(Sample { name: taken.name.clone(), plain, seen, intrinsics: taken.target.intrinsics })
+}
+
+/// Tensors joined along the samples.
+///
+/// # Panics
+/// When there is none or shapes differ beyond the first axis.
+pub fn join(parts: &[&Tensor<f32>]) -> Tensor<f32> {
+    let mut shape = parts[0].shape();
+    shape.0[0] = parts.iter().map(|p| p.shape().n()).sum();
+    Tensor::from_vec(shape, parts.iter().flat_map(|p| p.data().iter().copied()).collect())
+}

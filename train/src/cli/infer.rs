@@ -1,0 +1,60 @@
+//! `dimode infer`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::failure::Exit;
+use super::output;
+use crate::progress::Bar;
+use crate::run::infer::{InferRequest, SequenceSummary, infer};
+
+const LONG_ABOUT: &str = "\
+Write depth and trajectory of every frame of a folder.
+
+For each sequence: depth/ (16-bit PNG, value = depth x 256), depth_colour/ (for the eye, near is bright), and the trajectory as \
+trajectory.kitti.txt (12 numbers a line) and trajectory.tum.txt (time, position, quaternion). Depth and positions have the unit \
+of the training run; from a single camera that unit is known only up to a factor.";
+
+const EXAMPLES: &str = "\
+Examples:
+  dimode infer --run runs/train-street-s1 --data DIR --out predictions
+  dimode infer --run runs/train-kitti-s1 --data kitti --sequences 09 --out predictions-09";
+
+/// Flags of `dimode infer`.
+#[derive(Debug, Args)]
+#[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
+pub struct InferArgs {
+    /// Folder of the trained run
+    #[arg(long, value_name = "RUN")]
+    run: PathBuf,
+    /// Folder of frames, as for 'dimode train --data'
+    #[arg(long, value_name = "DIR")]
+    data: PathBuf,
+    /// Sequences of the folder, with commas [default: all]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    sequences: Vec<String>,
+    /// Folder to write; must be new or empty
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Print a summary as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl InferArgs {
+    /// Predicts and writes.
+    pub fn run(self) -> anyhow::Result<Exit> {
+        let request = InferRequest { run: self.run, data: self.data, sequences: self.sequences, out: self.out };
+        let summaries = infer(&request, &Bar::new())?;
+        if self.json {
+            output::json(&summaries)?;
+        } else {
+            let line = |s: &SequenceSummary| {
+                format!("{}: {} frames, path of {:.2} units in {}\n", s.name, s.frames, s.path_length, request.out.join(&s.name).display())
+            };
+            output::text(&summaries.iter().map(line).collect::<String>())?;
+        }
+        Ok(Exit::Done)
+    }
+}

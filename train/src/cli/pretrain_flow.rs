@@ -1,0 +1,133 @@
+//! `dimode pretrain flow`.
+
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+
+use clap::Args;
+use dimode_nets::FlowNetKind;
+
+use super::failure::{self, Exit, UsageError};
+use super::options::{Size, preset};
+use super::{interrupt, output};
+use crate::config::Preset;
+use crate::pretrain::{self, EndPointError, PretrainConfig, PretrainRequest};
+use crate::progress::Bar;
+
+const LONG_ABOUT: &str = "\
+Train the flow network on rendered pairs with exact flow.
+
+The joint training starts from a flow network that has seen many pairs of frames with known flow. The weights that come with \
+the program were made by this command; run it again for another size of network or another mix of worlds, and give the file to \
+'dimode train --flow-weights FILE'. Every step renders new worlds, so no pair is seen twice.";
+
+const EXAMPLES: &str = "\
+Examples:
+  dimode pretrain flow --out flow.safetensors
+  dimode pretrain flow --out handheld.safetensors --preset-mix handheld --steps 6000 --seed 2";
+
+/// Flags of `dimode pretrain flow`.
+#[derive(Debug, Args)]
+#[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
+pub struct PretrainFlowArgs {
+    /// File to write (safetensors)
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Size of the network: nano_raft_d4, nano_raft or raft_small
+    #[arg(long, value_name = "NAME", default_value = "nano_raft_d4")]
+    net: FlowNetKind,
+    /// Kinds of worlds, taken in turn
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = preset(), default_values = ["street", "handheld", "lateral"])]
+    preset_mix: Vec<Preset>,
+    /// Training steps [default: 3000]
+    #[arg(long, value_name = "N")]
+    steps: Option<usize>,
+    /// Pairs in a step [default: 8]
+    #[arg(long, value_name = "N")]
+    batch: Option<usize>,
+    /// Size of the frames in pixels [default: 128x64]
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
+    /// Refinements of the flow [default: 4]
+    #[arg(long, value_name = "N")]
+    iterations: Option<usize>,
+    /// Full learning rate [default: 0.001]
+    #[arg(long, value_name = "RATE")]
+    learning_rate: Option<f64>,
+    /// Seed of weights, worlds and augmentation [default: 1]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Replace a file that is already there
+    #[arg(long)]
+    force: bool,
+    /// Print the end-point errors as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl PretrainFlowArgs {
+    /// Trains and writes the file.
+    pub fn run(self) -> anyhow::Result<Exit> {
+        self.check_out()?;
+        let (json, out) = (self.json, self.out.clone());
+        let request = PretrainRequest { out: out.clone(), config: self.settings()? };
+        let stop = interrupt::stop_flag("stopping; nothing will be written")?;
+        match pretrain::flow(&request, &Bar::new(), &stop) {
+            Err(error) if stop.load(Ordering::SeqCst) => {
+                failure::tell(&error);
+                return Ok(Exit::Interrupted);
+            }
+            Err(error) => return Err(error),
+            Ok(errors) if json => output::json(&errors)?,
+            Ok(errors) => output::text(&format!("{}wrote {}", lines(&errors), out.display()))?,
+        }
+        Ok(Exit::Done)
+    }
+
+    /// Whether the file can be written is better known before the training than after it.
+    fn check_out(&self) -> anyhow::Result<()> {
+        if self.out.exists() && !self.force {
+            let what = format!("{}: already there", self.out.display());
+            return Err(UsageError::new(what, "name another file, or add --force to replace it").into());
+        }
+        let folder = self.out.parent().filter(|folder| !folder.as_os_str().is_empty());
+        if let Some(folder) = folder {
+            std::fs::create_dir_all(folder).map_err(|error| crate::data::DataError::write(folder, error))?;
+        }
+        Ok(())
+    }
+
+    fn settings(self) -> anyhow::Result<PretrainConfig> {
+        let base = PretrainConfig::default();
+        let size = self.size.unwrap_or(Size { width: base.width, height: base.height });
+        let steps = self.steps.unwrap_or(base.steps);
+        let config = PretrainConfig {
+            flow: self.net,
+            presets: self.preset_mix,
+            width: size.width,
+            height: size.height,
+            steps,
+            batch: self.batch.unwrap_or(base.batch),
+            iterations: self.iterations.unwrap_or(base.iterations),
+            learning_rate: self.learning_rate.unwrap_or(base.learning_rate),
+            warmup: base.warmup.min(steps / 2),
+            seed: self.seed.unwrap_or(base.seed),
+        };
+        let whole = |value: usize| value >= 32 && value.is_multiple_of(16);
+        let refuse = |ok: bool, what: String, advice: &str| if ok { Ok(()) } else { Err(UsageError::new(what, advice)) };
+        refuse(config.steps > 0, "--steps 0".to_owned(), "use 1 or more")?;
+        refuse(config.batch > 0, "--batch 0".to_owned(), "use 1 or more")?;
+        refuse(config.iterations > 0, "--iterations 0".to_owned(), "use 1 or more")?;
+        let rate = config.learning_rate;
+        refuse(rate.is_finite() && rate > 0.0, format!("--learning-rate {rate}"), "use a finite number above 0")?;
+        let size = format!("--size {}x{}", config.width, config.height);
+        refuse(whole(config.width) && whole(config.height), size, "use multiples of 16, at least 32x32")?;
+        Ok(config)
+    }
+}
+
+fn lines(errors: &[EndPointError]) -> String {
+    let line = |e: &EndPointError| {
+        format!("{:10} end-point error {:.3} px (zero flow {:.3} px) over {} held-out pairs\n", e.preset, e.network, e.zero, e.pairs)
+    };
+    errors.iter().map(line).collect()
+}

@@ -1,0 +1,319 @@
+//! `dimode train`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use super::failure::{Exit, UsageError};
+use super::options::{Size, Stages, preset};
+use super::{interrupt, output};
+use crate::config::{Config, FlowWeights, GeometricConfig, Preset};
+use crate::progress::Bar;
+use crate::run::{self, RunFolder, TrainOutcome, TrainRequest};
+
+const LONG_ABOUT: &str = "\
+Train the networks, evaluate them, write a report.
+
+Without --data the frames come from an embedded world that is rendered while training runs, and the result is scored on \
+worlds that were not trained on. With --data they come from a folder; no ground truth is used in training, but poses and depth \
+are scored against it where they are there.
+
+DIR of --data is one of
+  a KITTI odometry folder    DIR/sequences/NN/image_2/*.png (or image_0), calib.txt, and if you have them DIR/poses/NN.txt
+  a folder of frames         DIR/*.png or *.jpg in the order of their names, and DIR/intrinsics.txt
+
+Every setting has a name in a TOML file (--config); --print-config shows all of them with their values. Flags win over the \
+file, the file wins over the defaults.";
+
+const EXAMPLES: &str = "\
+Examples:
+  dimode train --quick                          small and short: a first look
+  dimode train --preset handheld --seed 2       another world, another seed
+  dimode train --stages 1                       all steps in stage 1, for comparison
+  dimode train --loss literal --out runs/literal
+  dimode train --data kitti --sequences 09 --size 192x64
+  dimode train --set train.warmup=50 --set loss.smoothness=0.002
+  dimode train --print-config > my.toml         a file to edit; then: dimode train --config my.toml
+  dimode train --resume runs/train-street-s1    go on after Ctrl-C or a crash, with the same bits
+
+The run folder holds report.html, metrics.json, log.jsonl, config.toml and checkpoint.safetensors.";
+
+/// Form of the four geometric losses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum LossForm {
+    /// Bounded residuals in the consistent frame (the default)
+    Robust,
+    /// Exactly as the equations are printed
+    Literal,
+}
+
+/// Flags of `dimode train`.
+#[derive(Debug, Args)]
+#[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
+pub struct TrainArgs {
+    /// Settings in a TOML file
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Folder of real frames [default: the embedded world]
+    #[arg(long, value_name = "DIR", conflicts_with = "preset")]
+    data: Option<PathBuf>,
+    /// Sequences of the folder, with commas [default: all]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "data")]
+    sequences: Vec<String>,
+    /// Kind of the embedded world [default: street]
+    #[arg(long, value_name = "NAME", value_parser = preset())]
+    preset: Option<Preset>,
+    /// Small frames and few steps: a first look in about two minutes
+    #[arg(long)]
+    quick: bool,
+    /// Training steps of all stages together
+    #[arg(long, value_name = "N")]
+    steps: Option<u64>,
+    /// Snippets in a step
+    #[arg(long, value_name = "N")]
+    batch: Option<usize>,
+    /// Seed of everything random: the same seed gives the same bits
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Full learning rate
+    #[arg(long, value_name = "RATE")]
+    learning_rate: Option<f64>,
+    /// Size of the frames the networks see, multiples of 16
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
+    /// Stages to train: 1, 1,2 or 1,2,3; the steps of the others go to the last one named
+    #[arg(long, value_name = "LIST")]
+    stages: Option<Stages>,
+    /// Form of the geometric losses
+    #[arg(long, value_name = "FORM")]
+    loss: Option<LossForm>,
+    /// First weights of the flow network: embedded, random or a file
+    #[arg(long, value_name = "WHICH")]
+    flow_weights: Option<FlowWeights>,
+    /// Any other setting by its name in the file, for instance train.warmup=50; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Folder of the run [default: runs/train-<data>-s<seed>]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Replace a run that is already in the folder
+    #[arg(long)]
+    force: bool,
+    /// Go on with the run in this folder, with its own settings
+    #[arg(long, value_name = "DIR", conflicts_with_all = [
+        "config", "data", "sequences", "preset", "quick", "steps", "batch", "seed", "learning_rate", "size", "stages",
+        "loss", "flow_weights", "set", "out", "force",
+    ])]
+    resume: Option<PathBuf>,
+    /// Print the metrics as JSON instead of tables
+    #[arg(long)]
+    json: bool,
+    /// Print all settings as TOML and end
+    #[arg(long)]
+    print_config: bool,
+}
+
+impl TrainArgs {
+    /// Trains, or prints the settings.
+    pub fn run(self, typed: &str) -> anyhow::Result<Exit> {
+        let config = self.settings()?;
+        if self.print_config {
+            output::text(&config.to_toml())?;
+            return Ok(Exit::Done);
+        }
+        run::check_data(&config)?;
+        let resume = self.resume.is_some();
+        let out = match self.resume {
+            Some(folder) => folder,
+            None => RunFolder::create(self.out.unwrap_or_else(|| default_out(&config)), &config, self.force)?.path().to_owned(),
+        };
+        let request = TrainRequest { config, out, resume, command: typed.to_owned() };
+        let stop = interrupt::stop_flag("finishing this step, then saving")?;
+        let outcome = run::train::train(&request, &Bar::new(), &stop)?;
+        report(&request, &outcome, self.json)
+    }
+
+    /// Settings of the run to go on with, or defaults, file and flags.
+    fn settings(&self) -> anyhow::Result<Config> {
+        if let Some(folder) = &self.resume {
+            return Ok(RunFolder::open(folder)?.read_config()?);
+        }
+        let mut config = match &self.config {
+            Some(path) => Config::read(path)?,
+            None => Config::default(),
+        };
+        self.apply(&mut config);
+        for setting in &self.set {
+            config = config.with_setting(setting)?;
+        }
+        config.validate()?;
+        Ok(config)
+    }
+
+    fn apply(&self, config: &mut Config) {
+        if self.quick {
+            config.apply_quick();
+        }
+        let data = &mut config.data;
+        if let Some(path) = &self.data {
+            data.path = Some(path.clone());
+            data.sequences.clone_from(&self.sequences);
+        }
+        if let Some(preset) = self.preset {
+            data.preset = preset;
+            data.path = None;
+        }
+        if let Some(Size { width, height }) = self.size {
+            (data.width, data.height) = (width, height);
+        }
+        replace(&mut config.seed, self.seed);
+        replace(&mut config.train.steps, self.steps);
+        replace(&mut config.train.batch, self.batch);
+        replace(&mut config.train.learning_rate, self.learning_rate);
+        replace(&mut config.nets.flow_weights, self.flow_weights.clone());
+        if let Some(Stages(numbers)) = &self.stages {
+            config.train.only_stages = Some(numbers.clone());
+        }
+        match self.loss {
+            Some(LossForm::Robust) => config.loss.geometric = GeometricConfig::default(),
+            Some(LossForm::Literal) => config.loss.geometric = GeometricConfig::literal(),
+            None => {}
+        }
+        // Fewer steps than the warm-up would never reach the full rate.
+        config.train.warmup = config.train.warmup.min(config.train.steps / 10);
+    }
+}
+
+fn replace<V>(place: &mut V, value: Option<V>) {
+    if let Some(value) = value {
+        *place = value;
+    }
+}
+
+/// `runs/train-<world or folder>-s<seed>`, with what differs from a plain run.
+fn default_out(config: &Config) -> PathBuf {
+    let data = match &config.data.path {
+        Some(path) => path.file_name().map_or_else(|| "frames".to_owned(), |name| name.to_string_lossy().into_owned()),
+        None => config.data.preset.to_string(),
+    };
+    let mut name = format!("train-{data}-s{}", config.seed);
+    if config.train.steps != Config::default().train.steps {
+        name += &format!("-n{}", config.train.steps);
+    }
+    if let Some(only) = &config.train.only_stages {
+        let numbers: Vec<String> = only.iter().map(usize::to_string).collect();
+        name += &format!("-stages{}", numbers.join(""));
+    }
+    if config.loss.geometric == GeometricConfig::literal() {
+        name += "-literal";
+    }
+    PathBuf::from("runs").join(name)
+}
+
+fn report(request: &TrainRequest, outcome: &TrainOutcome, json: bool) -> anyhow::Result<Exit> {
+    match outcome {
+        TrainOutcome::Finished { metrics, .. } if json => output::json(metrics)?,
+        TrainOutcome::Finished { table, report, checkpoint_hash, .. } => {
+            let hash = format!("checkpoint {} ({checkpoint_hash})", RunFolder::new(&request.out).checkpoint().display());
+            output::text(&format!("{}\n\nreport     {}\n{hash}\n", table.trim_end(), report.display()))?;
+        }
+        TrainOutcome::Interrupted { step } => {
+            let resume = format!("dimode train --resume {}", request.out.display());
+            eprintln_quietly(&format!("stopped after step {step}, everything is saved; go on with: {resume}"));
+            return Ok(Exit::Interrupted);
+        }
+    }
+    Ok(Exit::Done)
+}
+
+fn eprintln_quietly(line: &str) {
+    use std::io::Write;
+    // The exit code tells the same to whoever closed standard error.
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+impl Config {
+    /// The configuration with one setting changed, written `table.key=value`. Text may stand without quotes.
+    fn with_setting(&self, setting: &str) -> anyhow::Result<Self> {
+        let malformed = || UsageError::new(format!("--set {setting}: not a setting"), "write it as train.warmup=50");
+        let (key, value) = setting.split_once('=').ok_or_else(malformed)?;
+        let plain = toml::from_str::<toml::Table>(&format!("{key} = {value}"));
+        let change = plain.or_else(|_| toml::from_str(&format!("{key} = {}", toml::Value::String(value.to_owned()))));
+        let mut table = toml::Table::try_from(self)?;
+        merge(&mut table, change.map_err(|_| malformed())?);
+        Ok(Config::from_table(table, &format!("--set {setting}"))?)
+    }
+}
+
+fn merge(base: &mut toml::Table, change: toml::Table) {
+    for (key, value) in change {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(inner)), toml::Value::Table(more)) => merge(inner, more),
+            (_, value) => drop(base.insert(key, value)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Alone {
+        #[command(flatten)]
+        args: TrainArgs,
+    }
+
+    fn settings(flags: &[&str]) -> anyhow::Result<Config> {
+        Alone::try_parse_from(std::iter::once(&"train").chain(flags))?.args.settings()
+    }
+
+    #[test]
+    fn flags_win_over_quick_and_quick_over_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("run.toml");
+        std::fs::write(&file, "seed = 5\n[train]\nsteps = 77\nbatch = 3\nlearning_rate = 0.002\n").unwrap();
+        let file = file.to_str().unwrap();
+        let config = settings(&["--config", file]).unwrap();
+        assert_eq!((config.seed, config.train.steps, config.train.batch), (5, 77, 3));
+        let config = settings(&["--config", file, "--quick"]).unwrap();
+        assert_eq!((config.seed, config.train.steps), (5, Config::quick().train.steps));
+        assert_eq!(config.train.learning_rate, 0.002);
+        let config = settings(&["--config", file, "--quick", "--steps", "9", "--seed", "6"]).unwrap();
+        assert_eq!((config.seed, config.train.steps), (6, 9));
+    }
+
+    #[test]
+    fn any_setting_can_be_set_by_name() {
+        let config = settings(&["--set", "loss.geometric.planar=literal", "--set", "train.betas=[0.8, 0.9]"]).unwrap();
+        assert_eq!(config.train.betas, [0.8, 0.9]);
+        assert_eq!(config.loss.geometric.planar, crate::config::PlanarForm::Literal);
+        let message = settings(&["--set", "train.stpes=3"]).unwrap_err().to_string();
+        assert_eq!(message, "--set train.stpes=3: unknown key 'stpes'; did you mean 'steps'?");
+        assert!(settings(&["--set", "steps"]).is_err());
+    }
+
+    #[test]
+    fn stages_and_forms_are_taken() {
+        let config = settings(&["--stages", "1", "--loss", "literal", "--size", "96x48"]).unwrap();
+        assert_eq!(config.train.only_stages, Some(vec![1]));
+        assert_eq!(config.loss.geometric, GeometricConfig::literal());
+        assert_eq!((config.data.width, config.data.height), (96, 48));
+        assert_eq!(default_out(&config), PathBuf::from("runs/train-street-s1-stages1-literal"));
+        assert!(settings(&["--stages", "4"]).unwrap_err().to_string().contains("train.only_stages"));
+    }
+
+    #[test]
+    fn names_of_runs_hold_no_clock() {
+        assert_eq!(default_out(&Config::default()), PathBuf::from("runs/train-street-s1"));
+        let config = settings(&["--data", "some/kitti", "--seed", "4"]).unwrap();
+        assert_eq!(default_out(&config), PathBuf::from("runs/train-kitti-s4"));
+    }
+
+    #[test]
+    fn resume_takes_no_other_settings() {
+        assert!(settings(&["--resume", "x", "--steps", "3"]).is_err());
+    }
+}

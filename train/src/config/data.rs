@@ -1,0 +1,74 @@
+//! Where frames come from: the embedded world or a folder.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use super::ConfigError;
+use super::error::require;
+use crate::data::synthetic::Preset;
+
+/// Where frames come from and what size they have.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DataConfig {
+    /// Folder of real frames; none for the embedded world.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub path: Option<PathBuf>,
+    /// Kind of the embedded world; not used with `path`.
+    pub preset: Preset,
+    /// Width of the frames that the networks see, in pixels.
+    pub width: usize,
+    /// Height of the frames that the networks see, in pixels.
+    pub height: usize,
+    /// Number of training worlds; they are rendered when needed, so many cost no more memory than few.
+    pub worlds: usize,
+    /// Frames rendered in each world.
+    pub frames: usize,
+    /// Standard deviation of photometric noise, in units of the full range 1.
+    pub noise: f64,
+    /// Strength of exposure changes from frame to frame (standard deviation of the logarithm of the gain), 0 to 1.
+    pub exposure: f64,
+    /// Render at night: dark, lit by the camera's own lights.
+    pub night: bool,
+    /// Add one object that moves by itself.
+    pub moving_object: bool,
+    /// Sequences of a folder to use, by name; empty for all.
+    pub sequences: Vec<String>,
+}
+
+impl Default for DataConfig {
+    fn default() -> Self {
+        Self {
+            path: None,
+            preset: Preset::Street,
+            width: 128,
+            height: 64,
+            worlds: 4096,
+            frames: 8,
+            noise: 0.0,
+            exposure: 0.0,
+            night: false,
+            moving_object: false,
+            sequences: Vec::new(),
+        }
+    }
+}
+
+impl DataConfig {
+    /// **Errors** [`ConfigError::Value`] for the first value out of range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        side("data.width", self.width)?;
+        side("data.height", self.height)?;
+        require((1..=1 << 24).contains(&self.worlds), "data.worlds", self.worlds, "must be 1 to 16777216")?;
+        require((3..=10_000).contains(&self.frames), "data.frames", self.frames, "must be 3 to 10000: a snippet is three frames")?;
+        require((0.0..=0.5).contains(&self.noise), "data.noise", self.noise, "must be between 0 and 0.5")?;
+        require((0.0..=1.0).contains(&self.exposure), "data.exposure", self.exposure, "must be between 0 and 1")
+    }
+}
+
+/// The networks halve the picture five times.
+fn side(key: &'static str, value: usize) -> Result<(), ConfigError> {
+    let ok = (32..=4096).contains(&value) && value % 16 == 0;
+    require(ok, key, value, "must be a multiple of 16 between 32 and 4096")
+}

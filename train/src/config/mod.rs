@@ -1,0 +1,125 @@
+//! The settings of a run: plain structs, one file per group, read from TOML and written back.
+//!
+//! Every group has defaults, so an empty file is a complete configuration. Values given on the command line win over the
+//! file, the file wins over the defaults. A key that does not exist is an error that names the nearest one that does.
+
+mod by_name;
+mod data;
+mod error;
+mod eval;
+mod geometric;
+mod loss;
+mod nets;
+mod suggest;
+mod train;
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+pub use crate::data::synthetic::Preset;
+pub use data::DataConfig;
+pub use error::ConfigError;
+pub use eval::EvalConfig;
+pub use geometric::{AxialForm, Convention, GeometricConfig, PlanarForm, RadialForm, TangentialForm};
+pub use loss::{FlowLossConfig, LocalStructure, LocalTerm, LossConfig, PseudoDepth, Sources};
+pub use nets::{FlowWeights, NetsConfig};
+pub use suggest::nearest;
+pub use train::{Decay, StageConfig, TrainConfig};
+
+/// All settings of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Seed of every random choice: weights, order of snippets, augmentation, worlds.
+    pub seed: u64,
+    /// Where frames come from.
+    pub data: DataConfig,
+    /// Which networks are trained.
+    pub nets: NetsConfig,
+    /// Terms of the loss.
+    pub loss: LossConfig,
+    /// Steps, optimiser and stages.
+    pub train: TrainConfig,
+    /// Evaluation after training.
+    pub eval: EvalConfig,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            data: DataConfig::default(),
+            nets: NetsConfig::default(),
+            loss: LossConfig::default(),
+            train: TrainConfig::default(),
+            eval: EvalConfig::default(),
+        }
+    }
+}
+
+impl Config {
+    /// The settings of `--quick`: fewer steps, smaller frames and batches, a short evaluation; a first look in about a minute.
+    pub fn quick() -> Self {
+        let mut config = Self::default();
+        config.apply_quick();
+        config
+    }
+
+    /// Changes the sizes to those of [`Config::quick`] and leaves every choice of form and data as it is.
+    pub fn apply_quick(&mut self) {
+        self.data.width = 96;
+        self.data.height = 48;
+        self.data.worlds = 256;
+        self.train.steps = 300;
+        self.train.batch = 4;
+        self.train.warmup = 20;
+        self.train.checkpoint_every = 100;
+        self.eval.worlds = 2;
+        self.eval.frames = 12;
+    }
+
+    /// Reads a configuration from TOML. `path` is used in messages only.
+    ///
+    /// **Errors** [`ConfigError::UnknownKey`], [`ConfigError::UnknownName`] or [`ConfigError::Syntax`], with the line. Ranges
+    /// are not checked here but by [`Config::validate`], because flags may still change values.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, ConfigError> {
+        toml::from_str(text).map_err(|error| suggest::explain(&error, text, path))
+    }
+
+    /// The configuration in a TOML table; `origin` is used in messages.
+    ///
+    /// **Errors** as [`Config::from_toml`].
+    pub fn from_table(table: toml::Table, origin: &str) -> Result<Self, ConfigError> {
+        table.try_into().map_err(|error| suggest::explain(&error, "", Path::new(origin)))
+    }
+
+    /// Reads a configuration file.
+    ///
+    /// **Errors** [`ConfigError::Read`] when the file cannot be read, else as [`Config::from_toml`].
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        Self::from_toml(&text, path)
+    }
+
+    /// The configuration as TOML; [`Config::from_toml`] gives back an equal one.
+    pub fn to_toml(&self) -> String {
+        toml::to_string_pretty(self).expect("a configuration holds only what TOML can hold")
+    }
+
+    /// Checks every range.
+    ///
+    /// **Errors** [`ConfigError::Value`] for the first value that cannot work; the message says what would.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        error::require(self.seed <= i64::MAX as u64, "seed", self.seed, "must be below 2^63 (TOML integers are signed)")?;
+        self.data.validate()?;
+        self.nets.validate()?;
+        self.loss.validate()?;
+        self.train.validate()?;
+        self.eval.validate()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,94 @@
+//! Which networks are trained and where their first weights come from.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use dimode_nets::{DepthNetKind, FlowNetKind, PoseNetKind};
+use serde::{Deserialize, Serialize};
+
+use super::error::{positive, require};
+use super::{ConfigError, by_name};
+
+/// Where the first weights of the flow network come from.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum FlowWeights {
+    /// The file that is part of the program: pre-trained on rendered pairs with exact flow.
+    #[default]
+    Embedded,
+    /// Random numbers from the seed.
+    Random,
+    /// A safetensors file, for instance one that `dimode pretrain flow` wrote.
+    File(PathBuf),
+}
+
+impl fmt::Display for FlowWeights {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Embedded => f.write_str("embedded"),
+            Self::Random => f.write_str("random"),
+            Self::File(path) => write!(f, "{}", path.display()),
+        }
+    }
+}
+
+impl FromStr for FlowWeights {
+    type Err = std::convert::Infallible;
+
+    fn from_str(name: &str) -> Result<Self, Self::Err> {
+        Ok(match name {
+            "embedded" => Self::Embedded,
+            "random" => Self::Random,
+            path => Self::File(PathBuf::from(path)),
+        })
+    }
+}
+
+/// The three networks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NetsConfig {
+    /// Depth network: `nano_resnet` or `resnet18`.
+    #[serde(with = "by_name")]
+    pub depth: DepthNetKind,
+    /// Pose network: `nano` or `resnet18`.
+    #[serde(with = "by_name")]
+    pub pose: PoseNetKind,
+    /// Flow network: `nano_raft`, `nano_raft_d4` or `raft_small`.
+    #[serde(with = "by_name")]
+    pub flow: FlowNetKind,
+    /// First weights of the flow network: `embedded`, `random` or a file.
+    #[serde(with = "by_name")]
+    pub flow_weights: FlowWeights,
+    /// Refinements of the flow per pair.
+    pub flow_iterations: usize,
+    /// Smallest depth the depth network can say, in its own unit (metres for the embedded world).
+    pub min_depth: f64,
+    /// Largest depth the depth network can say.
+    pub max_depth: f64,
+}
+
+impl Default for NetsConfig {
+    fn default() -> Self {
+        Self {
+            depth: DepthNetKind::NanoResnet,
+            pose: PoseNetKind::Nano,
+            flow: FlowNetKind::NanoRaftD4,
+            flow_weights: FlowWeights::Embedded,
+            flow_iterations: 4,
+            min_depth: 0.1,
+            max_depth: 100.0,
+        }
+    }
+}
+
+impl NetsConfig {
+    /// **Errors** [`ConfigError::Value`] for the first value out of range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let iterations = self.flow_iterations;
+        require((1..=64).contains(&iterations), "nets.flow_iterations", iterations, "must be 1 to 64")?;
+        positive("nets.min_depth", self.min_depth)?;
+        positive("nets.max_depth", self.max_depth)?;
+        require(self.max_depth > self.min_depth, "nets.max_depth", self.max_depth, "must be above nets.min_depth")
+    }
+}

@@ -1,0 +1,282 @@
+//! Any folder of frames with an intrinsics file.
+//!
+//! ```text
+//! ROOT/*.png|*.jpg  or  ROOT/images/*.png|*.jpg    frames in the order of their names
+//! ROOT/intrinsics.txt  or  ROOT/intrinsics.toml    the camera, see `intrinsics_file`
+//! ROOT/poses.txt                                   optional, KITTI rows, for evaluation
+//! ROOT/times.txt                                   optional, seconds, one a line
+//! ```
+//!
+//! A folder without frames of its own may hold several such folders, one a sequence; a sequence without an intrinsics file
+//! uses that of the folder above.
+
+use std::path::{Path, PathBuf};
+
+use super::DataError;
+use super::file_dataset::{
+    FileDataset, FileSequence, check_count, common_size, image_files, last_part, sorted_entries,
+};
+use super::intrinsics_file::{EXAMPLE, IntrinsicsFile};
+use super::options::LoadOptions;
+use super::poses::read_poses;
+use super::times::read_times;
+
+/// Opens a folder of frames, or a folder of such folders, and checks all of it but the pixels.
+///
+/// **Errors** name the file: no frames, fewer than three, different sizes, truncated files; a missing intrinsics file (with
+/// an example of one), its faults, intrinsics of another shape; faults of the poses and times and counts that differ.
+pub fn open_folder(root: &Path, options: &LoadOptions) -> Result<FileDataset, DataError> {
+    options.check()?;
+    let folders = sequence_folders(root, &options.sequences)?;
+    let sequences = folders
+        .iter()
+        .map(|folder| open_sequence(root, folder))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(FileDataset::new(last_part(root), sequences, options))
+}
+
+/// Where the frames of a sequence folder lie: in `images` or in the folder itself; `None` when there are none.
+fn frames_folder(folder: &Path) -> Result<Option<PathBuf>, DataError> {
+    for candidate in [folder.join("images"), folder.to_owned()] {
+        if candidate.is_dir() && !image_files(&candidate)?.is_empty() {
+            return Ok(Some(candidate));
+        }
+    }
+    Ok(None)
+}
+
+/// Whether [`open_folder`] would find a frame.
+pub(crate) fn has_frames(root: &Path) -> Result<bool, DataError> {
+    Ok(!all_sequence_folders(root)?.is_empty())
+}
+
+/// The folder itself when it has frames, else those of its folders that have some.
+fn all_sequence_folders(root: &Path) -> Result<Vec<PathBuf>, DataError> {
+    if frames_folder(root)?.is_some() {
+        return Ok(vec![root.to_owned()]);
+    }
+    let mut found = Vec::new();
+    for entry in sorted_entries(root, "data folder")? {
+        if entry.is_dir() && frames_folder(&entry)?.is_some() {
+            found.push(entry);
+        }
+    }
+    Ok(found)
+}
+
+fn sequence_folders(root: &Path, wanted: &[String]) -> Result<Vec<PathBuf>, DataError> {
+    let all = all_sequence_folders(root)?;
+    if all.is_empty() {
+        let advice = "put PNG or JPEG frames into the folder, or name another one".to_owned();
+        return Err(DataError::Missing {
+            path: root.to_owned(),
+            what: "a frame (PNG or JPEG)".to_owned(),
+            advice,
+        });
+    }
+    if wanted.is_empty() {
+        return Ok(all);
+    }
+    let names: Vec<String> = all.iter().map(|path| last_part(path)).collect();
+    let find = |name: &String| {
+        let index = names.iter().position(|known| known == name);
+        index
+            .map(|index| all[index].clone())
+            .ok_or_else(|| DataError::Missing {
+                path: root.join(name),
+                what: format!("sequence {name} with frames"),
+                advice: format!("choose among {}", names.join(", ")),
+            })
+    };
+    wanted.iter().map(find).collect()
+}
+
+fn open_sequence(root: &Path, folder: &Path) -> Result<FileSequence, DataError> {
+    let images = frames_folder(folder)?.unwrap_or_else(|| folder.to_owned());
+    let files = image_files(&images)?;
+    let (width, height) = common_size(&images, &files)?;
+    let camera_file = intrinsics_path(root, folder)?;
+    let intrinsics = IntrinsicsFile::read(&camera_file)?.camera(&camera_file, width, height)?;
+    let pose_file = folder.join("poses.txt");
+    let poses = if pose_file.exists() {
+        Some(read_poses(&pose_file)?)
+    } else {
+        None
+    };
+    if let Some(poses) = &poses {
+        check_count(&pose_file, "poses", poses.len(), files.len(), &images)?;
+    }
+    let times_file = folder.join("times.txt");
+    let times = if times_file.exists() {
+        Some(read_times(&times_file)?)
+    } else {
+        None
+    };
+    if let Some(times) = &times {
+        check_count(&times_file, "times", times.len(), files.len(), &images)?;
+    }
+    let depth = vec![None; files.len()];
+    Ok(FileSequence {
+        name: last_part(folder),
+        files,
+        intrinsics,
+        poses,
+        times,
+        depth,
+    })
+}
+
+fn intrinsics_path(root: &Path, folder: &Path) -> Result<PathBuf, DataError> {
+    let candidates = [folder, root]
+        .into_iter()
+        .flat_map(|place| ["intrinsics.txt", "intrinsics.toml"].map(|f| place.join(f)));
+    candidates
+        .into_iter()
+        .find(|path| path.is_file())
+        .ok_or_else(|| DataError::Missing {
+            path: folder.to_owned(),
+            what: "intrinsics.txt (or intrinsics.toml)".to_owned(),
+            advice: EXAMPLE.to_owned(),
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::{Dataset, Image, write_rgb_png};
+    use std::fs;
+
+    const CAMERA: &str = "fu = 40\nfv = 41\nu0 = 23.5\nv0 = 11.5\nwidth = 48\nheight = 24\n";
+
+    fn put_frames(folder: &Path, count: usize) {
+        fs::create_dir_all(folder).unwrap();
+        for i in 0..count {
+            let image = Image::from_vec(3, 12, 24, vec![i as f32 / 51.0; 864]);
+            write_rgb_png(&folder.join(format!("{:02}.png", 10 * i)), &image).unwrap();
+        }
+    }
+
+    fn layout() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        put_frames(folder.path(), 4);
+        fs::write(folder.path().join("intrinsics.txt"), CAMERA).unwrap();
+        folder
+    }
+
+    fn message(folder: &tempfile::TempDir) -> String {
+        open_folder(folder.path(), &LoadOptions::default())
+            .err()
+            .expect("must be refused")
+            .to_string()
+    }
+
+    #[test]
+    fn frames_come_in_the_order_of_their_names_with_scaled_intrinsics() {
+        let folder = layout();
+        fs::write(
+            folder.path().join("poses.txt"),
+            "1 0 0 0 0 1 0 0 0 0 1 2\n".repeat(4),
+        )
+        .unwrap();
+        fs::write(folder.path().join("notes.md"), "not a frame").unwrap();
+        let data = open_folder(folder.path(), &LoadOptions::default()).unwrap();
+        assert_eq!((data.sequence_count(), data.sequence_len(0)), (1, 4));
+        let frame = data.frame(0, 2).unwrap();
+        assert_eq!(frame.name, "20");
+        assert!((frame.image.data[0] - 2.0 / 51.0).abs() < 1e-6);
+        assert_eq!(
+            (
+                frame.intrinsics.fu,
+                frame.intrinsics.u0,
+                frame.intrinsics.width
+            ),
+            (20.0, 11.5, 24)
+        );
+        assert_eq!(frame.world_from_camera.unwrap().translation.z, 2.0);
+        assert!(data.pair_truth(0, 1, 2).unwrap().is_none());
+    }
+
+    #[test]
+    fn a_folder_of_sequences_shares_the_intrinsics() {
+        let folder = tempfile::tempdir().unwrap();
+        put_frames(&folder.path().join("b/images"), 3);
+        put_frames(&folder.path().join("a"), 4);
+        fs::create_dir(folder.path().join("empty")).unwrap();
+        fs::write(folder.path().join("intrinsics.toml"), CAMERA).unwrap();
+        let data = open_folder(folder.path(), &LoadOptions::default()).unwrap();
+        assert_eq!(
+            (
+                data.sequence_name(0),
+                data.sequence_name(1),
+                data.sequence_len(1)
+            ),
+            ("a".into(), "b".into(), 3)
+        );
+        let one = LoadOptions {
+            sequences: vec!["b".into()],
+            ..LoadOptions::default()
+        };
+        assert_eq!(
+            open_folder(folder.path(), &one).unwrap().sequence_count(),
+            1
+        );
+        let none = LoadOptions {
+            sequences: vec!["c".into()],
+            ..LoadOptions::default()
+        };
+        let refused = open_folder(folder.path(), &none).err().unwrap().to_string();
+        assert!(
+            refused.contains("sequence c with frames not found; choose among a, b"),
+            "{refused}"
+        );
+    }
+
+    #[test]
+    fn missing_intrinsics_show_an_example() {
+        let folder = layout();
+        fs::remove_file(folder.path().join("intrinsics.txt")).unwrap();
+        let message = message(&folder);
+        assert!(
+            message.contains("intrinsics.txt (or intrinsics.toml) not found; write a file"),
+            "{message}"
+        );
+        assert!(message.contains("u0 = 607.193"), "{message}");
+    }
+
+    #[test]
+    fn faults_are_named() {
+        let folder = layout();
+        fs::write(
+            folder.path().join("intrinsics.txt"),
+            CAMERA.replace("24", "30"),
+        )
+        .unwrap();
+        assert!(message(&folder).contains("intrinsics belong to 48x30, but the frames are 24x12"));
+        fs::write(
+            folder.path().join("intrinsics.txt"),
+            CAMERA.replace("40", "-40"),
+        )
+        .unwrap();
+        assert!(message(&folder).contains("intrinsics.txt: focal length fu = -40"));
+        fs::write(folder.path().join("intrinsics.txt"), CAMERA).unwrap();
+        fs::write(folder.path().join("poses.txt"), "1 0 0 0 0 1 0 0 0 0 1 2\n").unwrap();
+        assert!(message(&folder).contains("poses.txt: 1 poses, but 4 frames in"));
+        fs::write(folder.path().join("poses.txt"), "1 0 0 0 0 1 0 0 0 0 2 2\n").unwrap();
+        assert!(message(&folder).contains("poses.txt:1: R^T R deviates from I by 3.0e0"));
+    }
+
+    #[test]
+    fn frames_that_do_not_make_a_sequence_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(message(&folder).contains("a frame (PNG or JPEG) not found"));
+        put_frames(folder.path(), 1);
+        assert!(
+            message(&folder).contains("1 frame(s) found, but training needs at least three frames")
+        );
+        put_frames(folder.path(), 3);
+        write_rgb_png(&folder.path().join("99.png"), &Image::zeros(3, 3, 3)).unwrap();
+        assert!(message(&folder).contains("99.png: size 3x3, but"));
+        fs::write(folder.path().join("99.png"), b"").unwrap();
+        assert!(message(&folder).contains("99.png: truncated image (the file is empty)"));
+    }
+}

@@ -1,0 +1,105 @@
+//! The three networks of a run, and their weights.
+
+use dimode_autodiff::{Shape, Tensor, Var};
+use dimode_geometry::Se3;
+use dimode_nets::{DepthNet, FlowNet, Network, ParamSet, PoseNet};
+use nalgebra::Vector3;
+
+use crate::config::NetsConfig;
+
+/// How a sigmoid output becomes depth: `1 / depth = 1/max + (1/min - 1/max) disparity`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthRange {
+    /// Depth at disparity 1.
+    pub min: f64,
+    /// Depth at disparity 0.
+    pub max: f64,
+}
+
+impl DepthRange {
+    /// Depth `[n, 1, h, w]` of disparities in (0, 1).
+    pub fn depth<'t>(self, disparity: Var<'t, f32>) -> Var<'t, f32> {
+        disparity.scale(1.0 / self.min - 1.0 / self.max).add_scalar(1.0 / self.max).recip()
+    }
+
+    /// Depth of plain disparities.
+    pub fn depth_values(self, disparity: &Tensor<f32>) -> Tensor<f32> {
+        let (scale, offset) = ((1.0 / self.min - 1.0 / self.max) as f32, (1.0 / self.max) as f32);
+        Tensor::from_vec(disparity.shape(), disparity.data().iter().map(|d| 1.0 / (offset + scale * d)).collect())
+    }
+}
+
+/// The networks of a run: descriptions without numbers.
+#[derive(Clone, Debug)]
+pub struct Model {
+    /// Depth from one image.
+    pub depth: DepthNet,
+    /// Motion between two images.
+    pub pose: PoseNet,
+    /// Optical flow between two images.
+    pub flow: FlowNet,
+    /// Disparity to depth.
+    pub range: DepthRange,
+    /// Refinements of the flow network.
+    pub flow_iterations: usize,
+}
+
+/// The numbers of the three networks.
+#[derive(Clone, Debug)]
+pub struct Weights {
+    /// Of the depth network.
+    pub depth: ParamSet<f32>,
+    /// Of the pose network.
+    pub pose: ParamSet<f32>,
+    /// Of the flow network.
+    pub flow: ParamSet<f32>,
+}
+
+impl Model {
+    /// The networks that a configuration names.
+    pub fn new(nets: &NetsConfig) -> Self {
+        Model {
+            depth: DepthNet::new(nets.depth.config()),
+            pose: PoseNet::new(nets.pose.config()),
+            flow: FlowNet::new(nets.flow.config()),
+            range: DepthRange { min: nets.min_depth, max: nets.max_depth },
+            flow_iterations: nets.flow_iterations,
+        }
+    }
+
+    /// Fresh weights from a seed.
+    pub fn init(&self, seed: u64) -> Weights {
+        Weights { depth: self.depth.init(seed), pose: self.pose.init(seed), flow: self.flow.init(seed) }
+    }
+
+    /// Depth `[n, 1, h, w]` of images `[n, 3, h, w]`, in the unit of the training run.
+    pub fn predict_depth(&self, weights: &Weights, images: &Tensor<f32>) -> Tensor<f32> {
+        self.range.depth_values(&self.depth.predict(&weights.depth, images))
+    }
+
+    /// Motions `second_from_first` of image pairs `[n, 3, h, w]`, the earlier frame first.
+    pub fn predict_motion(&self, weights: &Weights, first: &Tensor<f32>, second: &Tensor<f32>) -> Vec<Se3> {
+        let (rotation, translation) = self.pose.predict(&weights.pose, first, second);
+        let vector = |t: &Tensor<f32>, n: usize| Vector3::from_fn(|i, _| f64::from(t.at(n, i, 0, 0)));
+        (0..first.shape().n())
+            .map(|n| Se3::from_rotation_vector(&vector(&rotation, n), vector(&translation, n)))
+            .collect()
+    }
+
+    /// Flow `[n, 2, h, w]` in pixels from the first to the second image.
+    pub fn predict_flow(&self, weights: &Weights, first: &Tensor<f32>, second: &Tensor<f32>) -> Tensor<f32> {
+        self.flow.predict(&weights.flow, first, second, Some(self.flow_iterations))
+    }
+}
+
+/// Images of equal size as one tensor `[n, 3, h, w]`.
+///
+/// # Panics
+/// When there is none or sizes differ.
+pub fn stack<'a>(images: impl IntoIterator<Item = &'a crate::data::Image>) -> Tensor<f32> {
+    let images: Vec<_> = images.into_iter().collect();
+    let first = images.first().expect("stack: at least one image");
+    let shape = Shape::new(images.len(), first.channels, first.height, first.width);
+    let data: Vec<f32> = images.iter().flat_map(|i| i.data.iter().copied()).collect();
+    Tensor::from_vec(shape, data)
+}

@@ -1,0 +1,195 @@
+//! The folder of a run: names of its files, and when it may be written to.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use crate::config::{Config, ConfigError};
+use crate::data::{DataError, write_atomic};
+
+/// Why a folder cannot take or give a run.
+#[derive(Debug, Error)]
+pub enum RunError {
+    /// A finished run is there.
+    #[error("{}: a finished run is already there; name another folder with --out, or add --force to replace it", path.display())]
+    Finished {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A run that was stopped is there.
+    #[error("{}: an unfinished run is already there; continue it with --resume {}, or add --force to begin again", path.display(), path.display())]
+    Unfinished {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// No run is there.
+    #[error("{}: no run found (no {missing}); name the folder that 'dimode train' wrote", path.display())]
+    NoRun {
+        /// The folder.
+        path: PathBuf,
+        /// The file that was looked for.
+        missing: &'static str,
+    },
+}
+
+/// The folder of a run. Creating the value touches nothing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RunFolder {
+    path: PathBuf,
+}
+
+const CONFIG: &str = "config.toml";
+const CHECKPOINT: &str = "checkpoint.safetensors";
+const LOG: &str = "log.jsonl";
+const METRICS: &str = "metrics.json";
+const REPORT: &str = "report.html";
+
+impl RunFolder {
+    /// The run at `path`.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
+    }
+
+    /// Makes the folder for a new run and writes `config.toml`. With `force` the files of an earlier run are removed first;
+    /// files that no run writes are left alone.
+    ///
+    /// **Errors** [`RunError`] when a run is there and `force` is not set, [`DataError`] when the system refuses.
+    pub fn create(path: impl Into<PathBuf>, config: &Config, force: bool) -> anyhow::Result<Self> {
+        let run = Self::new(path);
+        run.check_free(force)?;
+        fs::create_dir_all(&run.path).map_err(|error| DataError::write(&run.path, error))?;
+        if force {
+            run.clear()?;
+        }
+        run.write_config(config)?;
+        Ok(run)
+    }
+
+    /// The run at `path`, which must have a configuration and a checkpoint.
+    ///
+    /// **Errors** [`RunError::NoRun`].
+    pub fn open(path: impl Into<PathBuf>) -> Result<Self, RunError> {
+        let run = Self::new(path);
+        for missing in [CONFIG, CHECKPOINT] {
+            if !run.path.join(missing).is_file() {
+                return Err(RunError::NoRun { path: run.path, missing });
+            }
+        }
+        Ok(run)
+    }
+
+    fn check_free(&self, force: bool) -> Result<(), RunError> {
+        let path = self.path.clone();
+        match force {
+            true => Ok(()),
+            false if self.is_finished() => Err(RunError::Finished { path }),
+            false if self.checkpoint().exists() => Err(RunError::Unfinished { path }),
+            false => Ok(()),
+        }
+    }
+
+    fn clear(&self) -> Result<(), DataError> {
+        for name in [METRICS, REPORT, CHECKPOINT, LOG, CONFIG] {
+            let file = self.path.join(name);
+            match fs::remove_file(&file) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(DataError::write(&file, error)),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes `config.toml`.
+    ///
+    /// **Errors** [`DataError::Write`].
+    pub fn write_config(&self, config: &Config) -> Result<(), DataError> {
+        write_atomic(&self.config(), config.to_toml().as_bytes())
+    }
+
+    /// Reads and checks `config.toml`.
+    ///
+    /// **Errors** [`ConfigError`].
+    pub fn read_config(&self) -> Result<Config, ConfigError> {
+        let config = Config::read(&self.config())?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Whether evaluation and report are written.
+    pub fn is_finished(&self) -> bool {
+        self.metrics().exists()
+    }
+
+    /// The folder itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// `config.toml`: the settings of the run.
+    pub fn config(&self) -> PathBuf {
+        self.path.join(CONFIG)
+    }
+
+    /// `checkpoint.safetensors`: weights and state after the last saved step.
+    pub fn checkpoint(&self) -> PathBuf {
+        self.path.join(CHECKPOINT)
+    }
+
+    /// `log.jsonl`: one line for each step.
+    pub fn log(&self) -> PathBuf {
+        self.path.join(LOG)
+    }
+
+    /// `metrics.json`: the evaluation; written last, so it tells a finished run.
+    pub fn metrics(&self) -> PathBuf {
+        self.path.join(METRICS)
+    }
+
+    /// `report.html`.
+    pub fn report(&self) -> PathBuf {
+        self.path.join(REPORT)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_are_not_overwritten_unless_asked() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("a/b");
+        let config = Config::quick();
+        let run = RunFolder::create(&path, &config, false).unwrap();
+        assert_eq!(run.read_config().unwrap(), config);
+        RunFolder::create(&path, &config, false).unwrap();
+        fs::write(run.checkpoint(), "x").unwrap();
+        let message = RunFolder::create(&path, &config, false).unwrap_err().to_string();
+        assert!(message.contains("--resume"), "{message}");
+        fs::write(run.metrics(), "{}").unwrap();
+        fs::write(path.join("notes.txt"), "mine").unwrap();
+        let message = RunFolder::create(&path, &config, false).unwrap_err().to_string();
+        assert!(message.contains("finished run"), "{message}");
+        RunFolder::create(&path, &config, true).unwrap();
+        assert!(!run.checkpoint().exists() && !run.metrics().exists());
+        assert!(path.join("notes.txt").exists());
+    }
+
+    #[test]
+    fn a_folder_without_a_run_is_named() {
+        let place = tempfile::tempdir().unwrap();
+        let message = RunFolder::open(place.path()).unwrap_err().to_string();
+        assert!(message.contains("no config.toml"), "{message}");
+    }
+
+    #[test]
+    fn a_file_in_the_way_is_an_error() {
+        let place = tempfile::tempdir().unwrap();
+        let file = place.path().join("file");
+        fs::write(&file, "x").unwrap();
+        let message = RunFolder::create(file.join("run"), &Config::quick(), false).unwrap_err().to_string();
+        assert!(message.contains("cannot be written"), "{message}");
+    }
+}

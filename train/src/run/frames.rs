@@ -1,0 +1,86 @@
+//! Datasets by configuration.
+
+use std::path::Path;
+
+use anyhow::Result;
+
+use crate::config::{Config, DataConfig, FlowWeights};
+use crate::data::synthetic::{Split, SyntheticConfig, SyntheticDataset};
+use crate::data::{DataError, Dataset, LoadOptions, open};
+
+/// A folder with at most this many frames is decoded as a whole before a run begins.
+const CHECKED_FRAMES: usize = 400;
+
+/// How frames of a folder are loaded for networks of this configuration.
+pub fn load_options(data: &DataConfig) -> LoadOptions {
+    LoadOptions {
+        sequences: data.sequences.clone(),
+        size: Some((data.width, data.height)),
+        ..LoadOptions::default()
+    }
+}
+
+/// The frames of a folder at the size of the networks.
+///
+/// **Errors** [`DataError`] as [`open`].
+pub fn open_frames(path: &Path, data: &DataConfig) -> Result<Box<dyn Dataset>, DataError> {
+    open(path, &load_options(data))
+}
+
+/// The frames that a configuration trains on: its folder, or the training worlds of its seed.
+///
+/// **Errors** [`DataError`].
+pub fn training_frames(config: &Config) -> Result<Box<dyn Dataset>, DataError> {
+    match &config.data.path {
+        Some(path) => open_frames(path, &config.data),
+        None => Ok(Box::new(worlds(config, Split::Train, config.data.worlds, config.data.frames)?)),
+    }
+}
+
+/// Worlds of the same kind that were not trained on, for evaluation.
+///
+/// **Errors** [`DataError::Option`].
+pub fn held_out_worlds(config: &Config) -> Result<SyntheticDataset, DataError> {
+    worlds(config, Split::HeldOut, config.eval.worlds, config.eval.frames)
+}
+
+fn worlds(config: &Config, split: Split, sequences: usize, frames: usize) -> Result<SyntheticDataset, DataError> {
+    let data = &config.data;
+    SyntheticDataset::new(SyntheticConfig {
+        preset: data.preset,
+        width: data.width,
+        height: data.height,
+        seed: config.seed,
+        split,
+        sequences,
+        frames,
+        noise: data.noise,
+        exposure: data.exposure,
+        night: data.night,
+        moving_object: data.moving_object,
+        ..SyntheticConfig::default()
+    })
+}
+
+/// Finds out before anything is written whether the inputs of a run can be used: the folder is opened, and the frames of a
+/// small one are decoded.
+///
+/// **Errors** [`DataError`] for the first thing that cannot be used.
+pub fn check_data(config: &Config) -> Result<(), DataError> {
+    if let FlowWeights::File(path) = &config.nets.flow_weights
+        && !path.is_file()
+    {
+        let advice = "check nets.flow_weights: embedded, random or a file that 'dimode pretrain flow' wrote".to_owned();
+        return Err(DataError::Missing { path: path.clone(), what: "flow weights".to_owned(), advice });
+    }
+    let Some(path) = &config.data.path else { return Ok(()) };
+    let dataset = open_frames(path, &config.data)?;
+    let frames: Vec<(usize, usize)> =
+        (0..dataset.sequence_count()).flat_map(|s| (0..dataset.sequence_len(s)).map(move |f| (s, f))).collect();
+    if frames.len() <= CHECKED_FRAMES {
+        for (sequence, frame) in frames {
+            dataset.frame(sequence, frame)?;
+        }
+    }
+    Ok(())
+}

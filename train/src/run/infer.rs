@@ -1,0 +1,162 @@
+//! Depth and trajectory of every frame of a folder.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::Result;
+use dimode_geometry::Trajectory;
+use serde::Serialize;
+
+use super::{TrainedModel, open_frames};
+use crate::data::{DataError, Dataset, Frame, write_atomic, write_depth_png};
+use crate::progress::Progress;
+use crate::report::picture::Picture;
+use crate::report::write_trajectory;
+
+/// Frames that go through the networks at a time.
+const CHUNK: usize = 8;
+
+/// What to look at and where to put the result.
+#[derive(Clone, Debug)]
+pub struct InferRequest {
+    /// Folder of the trained run.
+    pub run: PathBuf,
+    /// Folder of the frames.
+    pub data: PathBuf,
+    /// Sequences to use; empty for all.
+    pub sequences: Vec<String>,
+    /// Folder to write; must not exist, or be empty.
+    pub out: PathBuf,
+}
+
+/// What was written for one sequence.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SequenceSummary {
+    /// Name of the sequence, and of its folder.
+    pub name: String,
+    /// Frames.
+    pub frames: usize,
+    /// Length of the predicted path, in the unit of the training run.
+    pub path_length: f64,
+}
+
+/// Writes `SEQUENCE/depth/NAME.png` (16 bit, unit x 256), `SEQUENCE/depth_colour/NAME.png`, and the trajectory in KITTI and
+/// TUM form. The folder appears complete or not at all.
+///
+/// **Errors** of the run, of the data, and what the system refuses.
+pub fn infer(request: &InferRequest, progress: &dyn Progress) -> Result<Vec<SequenceSummary>> {
+    check_free(&request.out)?;
+    let model = TrainedModel::load(&request.run)?;
+    let mut data = model.config.data.clone();
+    data.sequences.clone_from(&request.sequences);
+    let dataset = open_frames(&request.data, &data)?;
+    let staging = staging_beside(&request.out);
+    if staging.exists() {
+        fs::remove_dir_all(&staging).map_err(|error| DataError::write(&staging, error))?;
+    }
+    let written = write_all(&model, dataset.as_ref(), &staging, progress).and_then(|summaries| {
+        put_in_place(&staging, &request.out)?;
+        Ok(summaries)
+    });
+    if written.is_err() {
+        // The first error is the one to tell.
+        let _ = fs::remove_dir_all(&staging);
+    }
+    written
+}
+
+fn check_free(out: &Path) -> Result<(), DataError> {
+    let filled = fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
+    if filled || out.is_file() { Err(DataError::Occupied { path: out.to_owned() }) } else { Ok(()) }
+}
+
+fn staging_beside(out: &Path) -> PathBuf {
+    let name = out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    out.with_file_name(format!("{name}.partial"))
+}
+
+fn put_in_place(staging: &Path, out: &Path) -> Result<(), DataError> {
+    if out.exists() {
+        fs::remove_dir(out).map_err(|error| DataError::write(out, error))?;
+    }
+    fs::rename(staging, out).map_err(|error| DataError::write(out, error))
+}
+
+fn write_all(
+    model: &TrainedModel,
+    dataset: &dyn Dataset,
+    root: &Path,
+    progress: &dyn Progress,
+) -> Result<Vec<SequenceSummary>> {
+    let total: usize = (0..dataset.sequence_count()).map(|s| dataset.sequence_len(s)).sum();
+    progress.start(total as u64, "frames");
+    let mut done = 0;
+    let mut summaries = Vec::new();
+    for sequence in 0..dataset.sequence_count() {
+        let name = dataset.sequence_name(sequence);
+        let folder = root.join(&name);
+        let trajectory = write_sequence(model, dataset, sequence, &folder, &mut |frames| {
+            done += frames;
+            progress.step(done as u64, &name);
+        })?;
+        let (frames, path_length) = (trajectory.len(), trajectory.path_length());
+        summaries.push(SequenceSummary { name: name.clone(), frames, path_length });
+    }
+    progress.finish();
+    Ok(summaries)
+}
+
+fn write_sequence(
+    model: &TrainedModel,
+    dataset: &dyn Dataset,
+    sequence: usize,
+    folder: &Path,
+    done: &mut dyn FnMut(usize),
+) -> Result<Trajectory> {
+    for name in ["depth", "depth_colour"] {
+        let folder = folder.join(name);
+        fs::create_dir_all(&folder).map_err(|error| DataError::write(&folder, error))?;
+    }
+    let len = dataset.sequence_len(sequence);
+    let mut steps = Vec::with_capacity(len);
+    for start in (0..len).step_by(CHUNK) {
+        // One frame more than the depth needs: the motion into the next chunk.
+        let end = (start + CHUNK + 1).min(len);
+        let frames: Vec<Arc<Frame>> = (start..end).map(|f| dataset.frame(sequence, f)).collect::<Result<_, _>>()?;
+        let frames: Vec<&Frame> = frames.iter().map(Arc::as_ref).collect();
+        steps.extend(model.motions(&frames));
+        let own = &frames[..CHUNK.min(frames.len())];
+        write_depth(model, own, folder)?;
+        done(own.len());
+    }
+    let mut trajectory = Trajectory::accumulate(&steps);
+    if let Some(times) = dataset.times(sequence) {
+        for (pose, &time) in trajectory.poses.iter_mut().zip(times) {
+            pose.stamp = Some(time);
+        }
+    }
+    write_trajectory(folder, "trajectory", &trajectory)?;
+    Ok(trajectory)
+}
+
+fn write_depth(model: &TrainedModel, frames: &[&Frame], folder: &Path) -> Result<(), DataError> {
+    let range = model.model.range;
+    for (frame, depth) in frames.iter().zip(model.depth(frames)) {
+        let name = Path::new(&frame.name).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        write_depth_png(&folder.join("depth").join(format!("{name}.png")), &depth)?;
+        let (near, far) = spread(&depth.data).unwrap_or((range.min, range.max));
+        let picture = Picture::from_depth(&depth, 1.0, near, far);
+        write_atomic(&folder.join("depth_colour").join(format!("{name}.png")), &picture.to_png())?;
+    }
+    Ok(())
+}
+
+/// The 2 % and 98 % points, so that a few far pixels do not darken the picture.
+fn spread(values: &[f32]) -> Option<(f64, f64)> {
+    let mut sorted: Vec<f32> = values.iter().copied().filter(|value| value.is_finite() && *value > 0.0).collect();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let last = sorted.len().checked_sub(1)?;
+    let at = |share: f64| f64::from(sorted[(share * last as f64).round() as usize]);
+    Some((at(0.02), at(0.98).max(1.05 * at(0.02))))
+}

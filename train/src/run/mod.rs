@@ -1,0 +1,52 @@
+//! What the commands do: one file per task, called by the command line and by tests.
+
+pub mod eval_depth;
+pub mod eval_odometry;
+pub mod folder;
+pub mod frames;
+pub mod infer;
+pub mod synth;
+pub mod train;
+pub mod trained;
+
+use std::path::PathBuf;
+
+use crate::config::Config;
+
+pub use folder::{RunError, RunFolder};
+pub use frames::{check_data, held_out_worlds, load_options, open_frames, training_frames};
+pub use trained::TrainedModel;
+
+/// What to train and where to put it.
+#[derive(Clone, Debug)]
+pub struct TrainRequest {
+    /// All settings, flags already applied.
+    pub config: Config,
+    /// Folder of the run; made when missing.
+    pub out: PathBuf,
+    /// Continue from the checkpoint in `out`.
+    pub resume: bool,
+    /// The command as typed, for the report.
+    pub command: String,
+}
+
+/// How training ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TrainOutcome {
+    /// All steps are done; evaluation and report are written.
+    Finished {
+        /// The table of metrics for a terminal.
+        table: String,
+        /// The content of `metrics.json`.
+        metrics: serde_json::Value,
+        /// The report.
+        report: PathBuf,
+        /// Hash of the last checkpoint, as hexadecimal digits.
+        checkpoint_hash: String,
+    },
+    /// Stopped on request after a complete step, which is saved.
+    Interrupted {
+        /// Steps done.
+        step: u64,
+    },
+}

@@ -1,0 +1,219 @@
+//! One training step, read from top to bottom: networks, losses, gradients, optimiser.
+//!
+//! The networks are recorded on one tape and the losses on another whose leaves are the networks' outputs. The gradients of the
+//! second tape's leaves are what the losses say about depth, rotation and translation; they are measured there, term by term,
+//! and then carried through the networks.
+
+use std::sync::Arc;
+
+use dimode_autodiff::{Pool, Tape, Tensor, Var};
+use dimode_nets::{Binder, Mode, ParamGradient, ParamSet};
+
+use crate::batch::{Batch, join};
+use crate::config::{Config, StageConfig};
+use crate::model::{Model, Weights};
+use crate::objective::{self, Outputs, TermReport};
+use crate::optim::adamw::{AdamW, State};
+use crate::optim::{clip_scale, gradient_norm};
+
+/// A step that could not be taken; weights and optimiser are as before it.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("step {step}: the {what} of {term} is not finite (first in sample {sample}); {advice}")]
+pub struct NonFinite {
+    /// Step, from 0.
+    pub step: u64,
+    /// `value` or `gradient`.
+    pub what: &'static str,
+    /// Name of the loss term.
+    pub term: String,
+    /// Name of the first sample where it happens.
+    pub sample: String,
+    /// What to try.
+    pub advice: &'static str,
+}
+
+const ADVICE: &str =
+    "the last checkpoint is intact; lower train.learning_rate, or choose a robust form of this term in [loss.geometric]";
+
+/// What a step did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepReport {
+    /// Weighted sum of the terms.
+    pub total: f64,
+    /// The terms in order.
+    pub terms: Vec<TermReport>,
+    /// Gradient norm of each trained network before clipping: depth, pose, flow.
+    pub network_gradients: [Option<f64>; 3],
+}
+
+/// Networks, weights and optimiser of a run.
+pub struct Trainer {
+    /// The networks.
+    pub model: Model,
+    /// Their weights.
+    pub weights: Weights,
+    /// Moments of the optimiser.
+    pub optimiser: State,
+    config: Config,
+    pool: Arc<Pool<f32>>,
+}
+
+impl Trainer {
+    /// A trainer that starts from the given weights.
+    pub fn new(config: &Config, weights: Weights, optimiser: State) -> Self {
+        Trainer { model: Model::new(&config.nets), weights, optimiser, config: config.clone(), pool: Pool::new() }
+    }
+
+    /// Takes one step at the given learning rate. With `probe` each term's gradient is measured apart.
+    ///
+    /// # Errors
+    /// When a loss term or a gradient is not finite; nothing has changed then.
+    pub fn step(
+        &mut self,
+        batch: &Batch,
+        stage: &StageConfig,
+        step: u64,
+        rate: f64,
+        probe: bool,
+    ) -> Result<StepReport, NonFinite> {
+        let flow = self.observed_flow(batch, stage);
+        let tape = Tape::with_pool(self.pool.clone());
+        let mut depth = binder(&tape, &self.weights.depth, stage.train_depth);
+        let mut pose = binder(&tape, &self.weights.pose, stage.train_pose);
+        let outputs = self.run_networks(&tape, batch, stage, &mut depth, &mut pose);
+        let losses =
+            objective::measure(&self.config, self.model.range, &self.pool, batch, stage, &outputs, flow.as_ref(), step, probe)
+                .map_err(|failure| failure.at(step, batch, ADVICE))?;
+        let carried = outputs.carry(&losses.gradients);
+        let gradients = tape.backward_and_free(carried);
+        let depth_gradients = if stage.train_depth { depth.gradients(&gradients) } else { Vec::new() };
+        let pose_gradients = if stage.train_pose { pose.gradients(&gradients) } else { Vec::new() };
+        let statistics = [depth.into_statistics(), pose.into_statistics()];
+        let mut terms = losses.terms;
+        let mut total = losses.total;
+        let mut flow_step = None;
+        if stage.train_flow {
+            let (term, gradients) = self.flow_gradients(batch).map_err(|failure| failure.at(step, batch, ADVICE))?;
+            total += term.weight * term.value;
+            terms.push(term);
+            flow_step = Some(gradients);
+        }
+        let clip = self.config.train.clip_norm;
+        let norms = [
+            stage.train_depth.then(|| gradient_norm(&depth_gradients)),
+            stage.train_pose.then(|| gradient_norm(&pose_gradients)),
+            flow_step.as_ref().map(|g| gradient_norm(g)),
+        ];
+        for (norm, name) in norms.iter().zip(["depth network", "pose network", "flow network"]) {
+            if norm.is_some_and(|n| !n.is_finite()) {
+                let term = format!("the {name}'s weights");
+                return Err(NonFinite { step, what: "gradient", term, sample: batch.names[0].clone(), advice: ADVICE });
+            }
+        }
+        let optimiser = self.adamw();
+        let sets = [&mut self.weights.depth, &mut self.weights.pose, &mut self.weights.flow];
+        let gradients = [depth_gradients, pose_gradients, flow_step.unwrap_or_default()];
+        for (k, ((set, gradients), name)) in sets.into_iter().zip(gradients).zip(["depth", "pose", "flow"]).enumerate() {
+            let scale = clip_scale(norms[k].unwrap_or(0.0), clip);
+            let rate = if k == 2 { rate * self.config.loss.flow.rate } else { rate };
+            update(&optimiser, &mut self.optimiser, set, name, gradients, rate, scale);
+        }
+        self.weights.depth.apply_statistics(&statistics[0]);
+        self.weights.pose.apply_statistics(&statistics[1]);
+        Ok(StepReport { total, terms, network_gradients: norms })
+    }
+
+    fn adamw(&self) -> AdamW {
+        let train = &self.config.train;
+        AdamW { betas: train.betas, epsilon: train.epsilon, weight_decay: train.weight_decay }
+    }
+
+    /// Flow from the target to both sources, `[2 n, 2, h, w]`, previous first; `None` when no term of the stage needs it.
+    fn observed_flow(&self, batch: &Batch, stage: &StageConfig) -> Option<Tensor<f32>> {
+        if !objective::needs_flow(&self.config.loss, stage) {
+            return None;
+        }
+        let images = &batch.plain;
+        let first = join(&[&images.target, &images.target]);
+        let second = join(&[&images.previous, &images.next]);
+        let tape = Tape::with_pool(self.pool.clone());
+        let net = Binder::frozen(&tape, &self.weights.flow);
+        let options = dimode_nets::FlowOptions {
+            iterations: Some(self.model.flow_iterations),
+            last_only: true,
+            ..Default::default()
+        };
+        let (first, second) = (tape.constant(first), tape.constant(second));
+        Some(self.model.flow.trace(&net, first, second, &options).flows[0].value())
+    }
+
+    fn run_networks<'t>(
+        &self,
+        tape: &'t Tape<f32>,
+        batch: &Batch,
+        stage: &StageConfig,
+        depth: &mut Binder<'t, f32>,
+        pose: &mut Binder<'t, f32>,
+    ) -> Outputs<'t> {
+        let images = &batch.seen;
+        let n = batch.names.len();
+        let with_sources = objective::needs_source_depth(stage);
+        let seen = if with_sources {
+            join(&[&images.target, &images.previous, &images.next])
+        } else {
+            images.target.clone()
+        };
+        let disparities = self.model.depth.forward(depth, tape.constant(seen));
+        let targets = disparities.iter().take(self.config.loss.scales).map(|d| d.slice(0, 0, n)).collect();
+        let sources = with_sources.then(|| disparities[0].slice(0, n, 2 * n));
+        let first = tape.constant(join(&[&images.previous, &images.target]));
+        let second = tape.constant(join(&[&images.target, &images.next]));
+        let motion = self.model.pose.forward(pose, first, second);
+        Outputs { disparities: targets, source_disparity: sources, rotation: motion.axis_angle, translation: motion.translation }
+    }
+
+    /// Loss of the flow network on some pairs of the batch, and the gradients of its weights.
+    fn flow_gradients(&self, batch: &Batch) -> Result<(TermReport, Vec<ParamGradient<f32>>), objective::Failure> {
+        let tape = Tape::with_pool(self.pool.clone());
+        let net = Binder::new(&tape, &self.weights.flow, Mode::Train);
+        let settings = &self.config.loss.flow;
+        let pairs = settings.pairs.min(batch.names.len());
+        let part = |x: &Tensor<f32>| tape.constant(x.clone()).slice(0, 0, pairs);
+        let (target, next) = (part(&batch.plain.target), part(&batch.plain.next));
+        let flows = self.model.flow.forward(&net, target, next, self.model.flow_iterations);
+        let loss = crate::losses::flow_photometric::flow_photometric(&flows, target, next, settings.smoothness);
+        let value = f64::from(loss.value().item());
+        let term = TermReport { name: "l_flow".into(), weight: 1.0, value, valid: 1.0, gradients: None };
+        if !value.is_finite() {
+            return Err(objective::Failure { what: "value", term: term.name, sample: 0 });
+        }
+        Ok((term, net.gradients(&tape.backward_and_free(loss))))
+    }
+}
+
+fn binder<'t>(tape: &'t Tape<f32>, params: &ParamSet<f32>, train: bool) -> Binder<'t, f32> {
+    if train { Binder::new(tape, params, Mode::Train) } else { Binder::frozen(tape, params) }
+}
+
+/// Steps every parameter of one network.
+fn update(
+    optimiser: &AdamW,
+    state: &mut State,
+    set: &mut ParamSet<f32>,
+    network: &str,
+    gradients: Vec<ParamGradient<f32>>,
+    rate: f64,
+    scale: f64,
+) {
+    for gradient in gradients {
+        let value = set.get(&gradient.path).expect("a bound parameter").tensor().clone();
+        let key = format!("{network}/{}", gradient.path);
+        let next = optimiser.step(state, &key, &value, &gradient.gradient, rate, scale);
+        set.set(&gradient.path, next);
+    }
+}
+
+/// Sum of `x * weights`: carries a known gradient into a variable's tape.
+pub(crate) fn dot<'t>(x: Var<'t, f32>, weights: &Tensor<f32>) -> Var<'t, f32> {
+    x.mul(x.tape().constant(weights.clone())).sum()
+}
