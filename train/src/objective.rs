@@ -10,12 +10,12 @@ use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::{Gradients, Pool, Tape, Tensor, Var};
 use dimode_geometry::Intrinsics;
 use dimode_geometry::losses as geometric;
-use dimode_geometry::taped;
+use dimode_geometry::taped::{self, masks};
 
 use crate::batch::{Batch, join};
 use crate::config::{Config, LossConfig, Sources, StageConfig};
 use crate::losses::flow_consistency::flow_consistency;
-use crate::losses::flow_photometric::{in_view, pixel_grid};
+use crate::losses::flow_photometric::pixel_grid;
 use crate::losses::local_structure::local_structure;
 use crate::losses::min_reprojection::min_reprojection;
 use crate::losses::photometric::{photometric, photometric_value};
@@ -191,10 +191,13 @@ impl<'a, 'l> Scene<'a, 'l> {
         let n = batch.names.len();
         let part = |x: Var<'l, f32>, k: usize| x.slice(0, k * n, n);
         // The network sees frames in the order of time: the pair (previous, target) is predicted forwards and inverted.
-        let previous = taped::source_from_target(part(leaves.rotation, 0), part(leaves.translation, 0), true);
-        let next = taped::source_from_target(part(leaves.rotation, 1), part(leaves.translation, 1), false);
-        let rotation = Var::concat(&[previous.0, next.0], 0);
-        let translation = Var::concat(&[previous.1, next.1], 0);
+        let pose = |k: usize, invert| {
+            let (rotation, translation) = (part(leaves.rotation, k), part(leaves.translation, k));
+            taped::source_from_target(rotation, translation, invert, taped::RotationForm::Exponential)
+        };
+        let (previous, next) = (pose(0, true), pose(1, false));
+        let rotation = Var::concat(&[previous.rotation, next.rotation], 0);
+        let translation = Var::concat(&[previous.translation, next.translation], 0);
         let cameras = [&batch.intrinsics[..], &batch.intrinsics[..]].concat();
         let depth = twice(range.depth(leaves.disparities[0]));
         let rigid = taped::rigid_flow(depth, rotation, translation, &cameras);
@@ -280,12 +283,11 @@ impl<'a, 'l> Scene<'a, 'l> {
     /// The four geometric losses, and flow consistency when asked for.
     fn geometric(&self, stage: &StageConfig, flow: &Tensor<f32>, terms: &mut Vec<Term<'l>>) {
         let tape = self.depth.tape();
-        let coords = tape.constant(flow.clone()).add(tape.constant(pixel_grid(flow.shape())));
-        let visible = in_view(&coords.value());
+        let visible = masks::in_view(flow);
         let rigid = self.rigid.slice(1, 0, 2);
         let consistency = self.config.loss.flow_consistency;
         if consistency > 0.0 {
-            let mask = self.static_mask(&rigid.value(), flow, &visible);
+            let mask = masks::static_pixels(&rigid.value(), flow, Some(&visible));
             let value = flow_consistency(rigid, flow, &mask);
             terms.push(Term { name: "flow_consistency", weight: consistency, value, valid: share(&mask) });
         }
@@ -294,29 +296,33 @@ impl<'a, 'l> Scene<'a, 'l> {
         }
         let options = self.config.loss.geometric.options();
         let source = self.leaves.source_disparity.expect("sources were run for this stage");
-        let source = self.range.depth(if options.detach_source_depth { source.detach() } else { source });
-        let seen = source.bilinear_sample(coords, SamplePadding::Border);
-        let mask = self.static_mask(&rigid.value(), flow, &visible);
-        let mask = self.chosen_sources(mask);
-        let aligned = geometric::Aligned::new(
-            seen, self.rotation, self.translation, self.depth, flow, &self.cameras, &mask, &options,
-        );
-        let losses = [
-            ("l_pla", stage.lambda1, geometric::planar as fn(&_, &_) -> _),
+        let still = masks::static_pixels(&rigid.value(), flow, Some(&visible));
+        let mask = self.chosen_sources(masks::all_of(&[&still, &visible]));
+        let inputs = geometric::PairInputs {
+            target_depth: self.depth,
+            source_depth: self.range.depth(source),
+            flow: tape.constant(flow.clone()),
+            rotation: self.rotation,
+            translation: self.translation,
+            intrinsics: &self.cameras,
+            mask: &mask,
+        };
+        let pair = geometric::AlignedPair::new(&inputs, &options);
+        type Loss<'l> = fn(&geometric::AlignedPair<'l, f32>, &geometric::LossOptions) -> geometric::LossTerm<'l, f32>;
+        let losses: [(_, _, Loss<'l>); 4] = [
+            ("l_pla", stage.lambda1, geometric::planar),
             ("l_axi", stage.lambda1, geometric::axial),
             ("l_tan", stage.lambda2, geometric::tangential),
             ("l_rad", stage.lambda2, geometric::radial),
         ];
         for (name, weight, loss) in losses {
             if weight > 0.0 {
-                let measured: geometric::Measured<'l, f32> = loss(&aligned, &options);
-                terms.push(Term { name, weight, value: measured.mean, valid: measured.valid_share() });
+                let measured = loss(&pair, &options);
+                let pixels = measured.counts.iter().sum::<usize>() as f64;
+                let valid = pixels / mask.shape().len() as f64;
+                terms.push(Term { name, weight, value: measured.mean, valid });
             }
         }
-    }
-
-    fn static_mask(&self, rigid: &Tensor<f32>, flow: &Tensor<f32>, visible: &Tensor<f32>) -> Tensor<f32> {
-        taped::masks::static_mask(rigid, flow, visible)
     }
 
     /// Leaves out the previous frames where only the next ones are wanted.

@@ -1,7 +1,9 @@
 //! What the commands do: one file per task, called by the command line and by tests.
 
+pub mod conclude;
 pub mod eval_depth;
 pub mod eval_odometry;
+pub mod flow_weights;
 pub mod folder;
 pub mod frames;
 pub mod infer;

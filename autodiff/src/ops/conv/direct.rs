@@ -113,13 +113,13 @@ fn tile<T: Scalar, S: Simd, const O: usize, const V: usize>(d: &mut Direct<'_, T
         for (&offset, w) in d.offsets.iter().zip(weights.chunks_exact(O)) {
             let x = &channel[offset..offset + V * lanes];
             let mut xs = [T::splat(simd, T::ZERO); V];
-            for v in 0..V {
-                xs[v] = T::load::<S>(&x[v * lanes..]);
+            for (v, r) in xs.iter_mut().enumerate() {
+                *r = T::load::<S>(&x[v * lanes..]);
             }
-            for o in 0..O {
-                let w = T::splat(simd, w[o]);
-                for v in 0..V {
-                    acc[o][v] = T::fma(simd, w, xs[v], acc[o][v]);
+            for (acc, &w) in acc.iter_mut().zip(w) {
+                let w = T::splat(simd, w);
+                for (acc, &x) in acc.iter_mut().zip(&xs) {
+                    *acc = T::fma(simd, w, x, *acc);
                 }
             }
         }

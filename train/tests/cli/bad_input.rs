@@ -1,0 +1,164 @@
+//! Every kind of bad input: one clear message, no run folder left behind.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use dimode::data::{Image, write_rgb_png};
+
+use crate::{Ran, dimode, dimode_in, frames, text};
+
+struct Place {
+    _folder: tempfile::TempDir,
+    data: PathBuf,
+    out: PathBuf,
+}
+
+fn place(count: usize) -> Place {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, out) = (folder.path().join("data"), folder.path().join("run"));
+    frames(&data, count);
+    Place { _folder: folder, data, out }
+}
+
+impl Place {
+    fn train(&self) -> Ran {
+        dimode(&["train", "--data", text(&self.data), "--size", "64x32", "--steps", "1", "--batch", "1", "--out", text(&self.out)])
+    }
+
+    #[track_caller]
+    fn refused(&self, parts: &[&str]) {
+        self.train().refused(1, parts);
+        assert!(!self.out.exists(), "nothing is left behind");
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        fs::write(self.data.join(name), text).unwrap();
+    }
+}
+
+#[test]
+fn data_that_does_not_exist() {
+    let mut place = place(3);
+    place.data = PathBuf::from("no/such/folder");
+    place.refused(&["no/such/folder", "not found", "fix: check the path"]);
+}
+
+#[test]
+fn an_empty_folder() {
+    place(0).refused(&["no frames found"]);
+}
+
+#[test]
+fn one_frame() {
+    place(1).refused(&["1 frame", "three frames"]);
+}
+
+#[test]
+fn frames_of_different_sizes() {
+    let place = place(3);
+    write_rgb_png(&place.data.join("000001.png"), &Image::zeros(3, 16, 64)).unwrap();
+    place.refused(&["000001.png", "64x16", "64x32"]);
+}
+
+#[test]
+fn a_truncated_picture() {
+    let place = place(4);
+    let picture = place.data.join("000002.png");
+    let bytes = fs::read(&picture).unwrap();
+    fs::write(&picture, &bytes[..bytes.len() / 2]).unwrap();
+    place.refused(&["000002.png"]);
+}
+
+#[test]
+fn poses_that_are_not_finite() {
+    let place = place(3);
+    place.write("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 nan 0 1 0 0 0 0 1 1\n1 0 0 0 0 1 0 0 0 0 1 2\n");
+    place.refused(&["poses.txt:2"]);
+}
+
+#[test]
+fn poses_that_are_no_rotations() {
+    let place = place(3);
+    place.write("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 1\n1 0.5 0 0 0 1 0 0 0 0 1 2\n");
+    place.refused(&["poses.txt:3", "rotation"]);
+}
+
+#[test]
+fn a_focal_length_of_zero() {
+    let place = place(3);
+    place.write("intrinsics.txt", "0 48 31.5 15.5\n");
+    place.refused(&["intrinsics.txt"]);
+}
+
+#[test]
+fn flow_weights_that_do_not_exist() {
+    let place = place(3);
+    let ran = dimode(&["train", "--flow-weights", "none.safetensors", "--out", text(&place.out)]);
+    ran.refused(1, &["none.safetensors", "flow weights not found"]);
+    assert!(!place.out.exists());
+}
+
+/// The tests may run as root, whom permissions do not stop; a folder below a file stops everyone.
+#[test]
+fn an_output_folder_that_cannot_be_made() {
+    let place = place(3);
+    let file = place.data.join("intrinsics.txt");
+    let before = fs::read(&file).unwrap();
+    let ran = dimode(&["train", "--quick", "--out", text(&file.join("run"))]);
+    ran.refused(1, &["intrinsics.txt/run", "cannot be written", "fix: "]);
+    assert_eq!(fs::read(&file).unwrap(), before);
+}
+
+#[test]
+fn runs_that_are_already_there() {
+    let place = place(3);
+    fs::create_dir_all(&place.out).unwrap();
+    fs::write(place.out.join("checkpoint.safetensors"), "x").unwrap();
+    place.train().refused(2, &["unfinished run", "--resume", "--force"]);
+    fs::write(place.out.join("metrics.json"), "{}").unwrap();
+    place.train().refused(2, &["finished run", "--force"]);
+    assert_eq!(fs::read(place.out.join("checkpoint.safetensors")).unwrap(), b"x");
+}
+
+#[test]
+fn resuming_what_is_no_run_or_a_damaged_one() {
+    let place = place(3);
+    dimode(&["train", "--resume", text(&place.data)]).refused(2, &["no run found", "config.toml"]);
+    fs::create_dir_all(&place.out).unwrap();
+    fs::write(place.out.join("config.toml"), "").unwrap();
+    fs::write(place.out.join("checkpoint.safetensors"), "garbage, but long enough for a header").unwrap();
+    dimode(&["train", "--resume", text(&place.out)]).refused(1, &["checkpoint.safetensors", "not a usable checkpoint"]);
+    dimode(&["train", "--resume", text(&place.out), "--steps", "3"]).code_is(2);
+}
+
+#[test]
+fn predictions_need_a_run_data_and_a_free_place() {
+    let place = place(3);
+    let infer = |run: &Path, out: &Path| {
+        dimode(&["infer", "--run", text(run), "--data", text(&place.data), "--out", text(out)])
+    };
+    infer(&place.data, &place.out).refused(2, &["no run found"]);
+    infer(&place.data, &place.data).refused(2, &["not empty"]);
+    assert!(!place.out.exists());
+}
+
+#[test]
+fn depth_and_trajectories_that_cannot_be_scored() {
+    let place = place(3);
+    let folder = place._folder.path();
+    dimode(&["eval", "depth"]).refused(2, &["nothing to score", "fix: give --run RUN"]);
+    dimode(&["eval", "depth", "--gt", text(folder), "--pred", text(folder)]).refused(1, &["no PNG files"]);
+    fs::write(folder.join("short.txt"), "1 0 0 0 0 1 0 0 0 0 1 0\n").unwrap();
+    let odometry = |gt: &str, est: &str| dimode_in(folder, &["eval", "odometry", "--gt", gt, "--est", est]);
+    odometry("none.txt", "short.txt").refused(1, &["none.txt: trajectory file not found"]);
+    odometry("short.txt", "short.txt").refused(1, &["nothing to evaluate"]);
+    fs::write(folder.join("words.txt"), "a b c\n").unwrap();
+    odometry("words.txt", "short.txt").refused(1, &["words.txt: 3 columns"]);
+}
+
+impl Ran {
+    #[track_caller]
+    fn code_is(&self, code: i32) {
+        assert_eq!(self.code, code, "{}", self.err);
+    }
+}
