@@ -45,14 +45,7 @@ macro_rules! gemm_scalar {
         impl GemmScalar for $t {
             #[track_caller]
             fn gemm(out: &mut [Self], a: View<'_, Self>, b: View<'_, Self>, add: bool) {
-                assert!(
-                    a.cols == b.rows,
-                    "gemm: inner sizes differ: [{}, {}] x [{}, {}]",
-                    a.rows,
-                    a.cols,
-                    b.rows,
-                    b.cols
-                );
+                assert!(a.cols == b.rows, "gemm: inner sizes differ: [{}, {}] x [{}, {}]", a.rows, a.cols, b.rows, b.cols);
                 if a.rows == 0 || b.cols == 0 {
                     return;
                 }

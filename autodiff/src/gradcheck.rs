@@ -219,11 +219,7 @@ mod tests {
     #[test]
     fn a_gradient_without_signal_fails_unless_allowed() {
         let x = random(3, Shape::new(1, 1, 2, 2), 0.5, 1.5);
-        let report = gradcheck(
-            std::slice::from_ref(&x),
-            |tape, _| tape.constant(Tensor::scalar(1.0)),
-            GradCheck::default(),
-        );
+        let report = gradcheck(std::slice::from_ref(&x), |tape, _| tape.constant(Tensor::scalar(1.0)), GradCheck::default());
         assert!(!report.is_ok());
         let lenient = GradCheck { allow_zero: true, ..GradCheck::default() };
         gradcheck(&[x], |tape, _| tape.constant(Tensor::scalar(1.0)), lenient).assert_ok();

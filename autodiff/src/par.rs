@@ -57,6 +57,18 @@ pub fn with_threads<R: Send>(threads: usize, f: impl FnOnce() -> R + Send) -> R 
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads can be started").install(f)
 }
 
+/// Runs two computations, at the same time where a thread is free.
+pub fn join<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> B + Send) -> (A, B) {
+    rayon::join(a, b)
+}
+
+/// Runs `f` on one of the pool's own threads, so that loops inside begin at once instead of waking a thread first.
+///
+/// Worth it around a long computation of many short loops, such as a training run.
+pub fn inside<R: Send>(f: impl FnOnce() -> R + Send) -> R {
+    rayon::scope(|_| f())
+}
+
 /// Threads that loops of this module use at present.
 pub fn threads() -> usize {
     rayon::current_num_threads()

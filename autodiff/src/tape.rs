@@ -311,9 +311,7 @@ impl<T: Scalar> GradSlot<'_, T> {
     /// The gradient so far, zeros at first; add to it.
     pub fn as_mut_slice(&mut self) -> &mut [T] {
         let (shape, pool) = (self.shape, self.pool);
-        self.grad
-            .get_or_insert_with(|| Tensor::pooled(shape, pool.take_zeroed(shape.len()), pool))
-            .make_mut()
+        self.grad.get_or_insert_with(|| Tensor::pooled(shape, pool.take_zeroed(shape.len()), pool)).make_mut()
     }
 
     /// Adds `f(i)` to element `i`, in order.

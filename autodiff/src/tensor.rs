@@ -46,12 +46,7 @@ impl<T: Scalar> Tensor<T> {
 
     #[track_caller]
     fn build(shape: Shape, data: Vec<T>, pool: Option<Arc<Pool<T>>>) -> Self {
-        assert!(
-            shape.len() == data.len(),
-            "tensor: shape {shape} needs {} elements, got {}",
-            shape.len(),
-            data.len()
-        );
+        assert!(shape.len() == data.len(), "tensor: shape {shape} needs {} elements, got {}", shape.len(), data.len());
         Tensor { shape, buffer: Arc::new(Buffer { data, pool }) }
     }
 
@@ -126,11 +121,7 @@ impl<T: Scalar> Tensor<T> {
     /// When the lengths differ.
     #[track_caller]
     pub fn reshaped(&self, shape: Shape) -> Self {
-        assert!(
-            shape.len() == self.shape.len(),
-            "reshape: {} and {shape} hold different numbers of elements",
-            self.shape
-        );
+        assert!(shape.len() == self.shape.len(), "reshape: {} and {shape} hold different numbers of elements", self.shape);
         Tensor { shape, buffer: self.buffer.clone() }
     }
 

@@ -7,40 +7,24 @@ use dimode_autodiff::{Scalar, Shape, Tape, Tensor, Var, par};
 const SHAPE: Shape = Shape::new(2, 3, 97, 131);
 
 /// The bits of a value and of the gradients of a weighted sum of it.
-fn bits<T: Scalar>(
-    op: impl for<'t> Fn(Var<'t, T>, Var<'t, T>, &Tensor<T>) -> Var<'t, T>,
-) -> Vec<u64> {
+fn bits<T: Scalar>(op: impl for<'t> Fn(Var<'t, T>, Var<'t, T>, &Tensor<T>) -> Var<'t, T>) -> Vec<u64> {
     let tape = Tape::<T>::new();
     let a = tape.leaf(random(1, SHAPE, 0.05, 0.95));
     let b = tape.leaf(random(2, SHAPE, 0.05, 0.95));
-    let coin = random::<f64>(3, SHAPE, 0.0, 2.0)
-        .data()
-        .iter()
-        .map(|x| T::from_f64(x.floor()))
-        .collect();
+    let coin = random::<f64>(3, SHAPE, 0.0, 2.0).data().iter().map(|x| T::from_f64(x.floor())).collect();
     let y = op(a, b, &Tensor::from_vec(SHAPE, coin));
     let grads = tape.backward(weighted_sum(y, 4));
     let all = [y.value(), grads.wrt(a), grads.wrt(b)];
-    all.iter()
-        .flat_map(|t| t.to_vec())
-        .map(|x| x.to_f64().to_bits())
-        .collect()
+    all.iter().flat_map(|t| t.to_vec()).map(|x| x.to_f64().to_bits()).collect()
 }
 
-fn check_type<T: Scalar>(
-    name: &str,
-    op: impl for<'t> Fn(Var<'t, T>, Var<'t, T>, &Tensor<T>) -> Var<'t, T> + Send + Sync,
-) {
+fn check_type<T: Scalar>(name: &str, op: impl for<'t> Fn(Var<'t, T>, Var<'t, T>, &Tensor<T>) -> Var<'t, T> + Send + Sync) {
     let one = par::with_threads(1, || bits(&op));
     assert!(one.iter().any(|&b| b != 0), "{name}: nothing but zeros");
     for threads in [2, 3] {
         let several = par::with_threads(threads, || bits(&op));
         let first = one.iter().zip(&several).position(|(a, b)| a != b);
-        assert!(
-            first.is_none(),
-            "{name} in {}: entry {first:?} differs on {threads} threads",
-            T::NAME
-        );
+        assert!(first.is_none(), "{name} in {}: entry {first:?} differs on {threads} threads", T::NAME);
     }
 }
 

@@ -19,11 +19,7 @@ fn bits(threads: usize, inputs: &[[usize; 4]], op: Op) -> Vec<u32> {
         let y = op(&vars);
         let grads = tape.backward(weighted_sum(y, 5));
         let gradients = vars.iter().map(|&v| grads.wrt(v));
-        std::iter::once(y.value())
-            .chain(gradients)
-            .flat_map(|t| t.to_vec())
-            .map(f32::to_bits)
-            .collect()
+        std::iter::once(y.value()).chain(gradients).flat_map(|t| t.to_vec()).map(f32::to_bits).collect()
     })
 }
 
@@ -31,10 +27,7 @@ fn bits(threads: usize, inputs: &[[usize; 4]], op: Op) -> Vec<u32> {
 fn assert_same_bits(inputs: &[[usize; 4]], op: Op) {
     let one = bits(1, inputs, op);
     for threads in [2, 3] {
-        assert!(
-            bits(threads, inputs, op) == one,
-            "{threads} threads give other bits than one"
-        );
+        assert!(bits(threads, inputs, op) == one, "{threads} threads give other bits than one");
     }
 }
 
@@ -44,9 +37,7 @@ const VECTOR: [usize; 4] = [1, 7, 1, 1];
 #[test]
 fn normalisation() {
     assert_same_bits(&[X], |v| v[0].instance_norm(1e-5));
-    assert_same_bits(&[X, VECTOR, VECTOR], |v| {
-        v[0].batch_norm_train(v[1], v[2], 1e-5).y
-    });
+    assert_same_bits(&[X, VECTOR, VECTOR], |v| v[0].batch_norm_train(v[1], v[2], 1e-5).y);
     assert_same_bits(&[X, VECTOR, VECTOR], |v| {
         let mean = random(3, Shape(VECTOR), -1.0, 1.0);
         let var = random(4, Shape(VECTOR), 0.5, 2.0);
@@ -74,23 +65,13 @@ fn resizing_and_padding() {
 
 #[test]
 fn sampling() {
-    assert_same_bits(&[X, [5, 2, 31, 40]], |v| {
-        v[0].bilinear_sample(v[1], SamplePadding::Border)
-    });
-    assert_same_bits(&[X, [5, 2, 31, 40]], |v| {
-        v[0].bilinear_sample(v[1], SamplePadding::Zeros)
-    });
+    assert_same_bits(&[X, [5, 2, 31, 40]], |v| v[0].bilinear_sample(v[1], SamplePadding::Border));
+    assert_same_bits(&[X, [5, 2, 31, 40]], |v| v[0].bilinear_sample(v[1], SamplePadding::Zeros));
 }
 
 #[test]
 fn correlation_and_lookup() {
-    assert_same_bits(&[[3, 9, 13, 18], [3, 9, 11, 15]], |v| {
-        v[0].correlation(v[1])
-    });
-    assert_same_bits(&[[468, 1, 9, 13], [468, 1, 4, 6], [2, 2, 13, 18]], |v| {
-        Var::correlation_lookup(&v[..2], v[2], 3)
-    });
-    assert_same_bits(&[[3, 2, 9, 13], [3, 144, 9, 13]], |v| {
-        v[0].convex_upsample(v[1], 4)
-    });
+    assert_same_bits(&[[3, 9, 13, 18], [3, 9, 11, 15]], |v| v[0].correlation(v[1]));
+    assert_same_bits(&[[468, 1, 9, 13], [468, 1, 4, 6], [2, 2, 13, 18]], |v| Var::correlation_lookup(&v[..2], v[2], 3));
+    assert_same_bits(&[[3, 2, 9, 13], [3, 144, 9, 13]], |v| v[0].convex_upsample(v[1], 4));
 }

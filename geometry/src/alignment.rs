@@ -61,29 +61,16 @@ pub fn unrotated_point(camera: &Intrinsics, rotation: &Matrix3<f64>, m: &Match) 
     rotation.tr_mul(&(camera.ray(m.source.x, m.source.y) * m.source_depth))
 }
 
-fn align(
-    camera: &Intrinsics,
-    rotation: &Matrix3<f64>,
-    removed: Vector3<f64>,
-    m: &Match,
-) -> Option<Aligned> {
+fn align(camera: &Intrinsics, rotation: &Matrix3<f64>, removed: Vector3<f64>, m: &Match) -> Option<Aligned> {
     let point = unrotated_point(camera, rotation, m) - removed;
-    Some(Aligned {
-        flow: camera.project(&point)? - m.target,
-        depth: point.z,
-    })
+    Some(Aligned { flow: camera.project(&point)? - m.target, depth: point.z })
 }
 
 /// Alignment with the imaging plane: removes rotation and `(0, 0, a_z)`. `None` behind the camera.
 ///
 /// At the truth, with [`Convention::Consistent`]: `f = (f o a_tan) / z`.
 #[must_use]
-pub fn planar(
-    camera: &Intrinsics,
-    rotation: &Matrix3<f64>,
-    a: &Vector3<f64>,
-    m: &Match,
-) -> Option<Aligned> {
+pub fn planar(camera: &Intrinsics, rotation: &Matrix3<f64>, a: &Vector3<f64>, m: &Match) -> Option<Aligned> {
     align(camera, rotation, radial_part(a), m)
 }
 
@@ -91,12 +78,7 @@ pub fn planar(
 ///
 /// At the truth, with [`Convention::Consistent`]: `f = -a_z / (z + a_z) (p - p0)`.
 #[must_use]
-pub fn axial(
-    camera: &Intrinsics,
-    rotation: &Matrix3<f64>,
-    a: &Vector3<f64>,
-    m: &Match,
-) -> Option<Aligned> {
+pub fn axial(camera: &Intrinsics, rotation: &Matrix3<f64>, a: &Vector3<f64>, m: &Match) -> Option<Aligned> {
     align(camera, rotation, tangential_part(a), m)
 }
 
@@ -131,30 +113,14 @@ fn jacobian(
 
 /// Derivatives of the flow of [`planar`].
 #[must_use]
-pub fn planar_jacobian(
-    camera: &Intrinsics,
-    rotation: &Matrix3<f64>,
-    a: &Vector3<f64>,
-    m: &Match,
-) -> AlignmentJacobian {
+pub fn planar_jacobian(camera: &Intrinsics, rotation: &Matrix3<f64>, a: &Vector3<f64>, m: &Match) -> AlignmentJacobian {
     jacobian(camera, rotation, radial_part(a), Vector3::z(), m)
 }
 
 /// Derivatives of the flow of [`axial`].
 #[must_use]
-pub fn axial_jacobian(
-    camera: &Intrinsics,
-    rotation: &Matrix3<f64>,
-    a: &Vector3<f64>,
-    m: &Match,
-) -> AlignmentJacobian {
-    jacobian(
-        camera,
-        rotation,
-        tangential_part(a),
-        Vector3::new(1.0, 1.0, 0.0),
-        m,
-    )
+pub fn axial_jacobian(camera: &Intrinsics, rotation: &Matrix3<f64>, a: &Vector3<f64>, m: &Match) -> AlignmentJacobian {
+    jacobian(camera, rotation, tangential_part(a), Vector3::new(1.0, 1.0, 0.0), m)
 }
 
 #[cfg(test)]
@@ -166,11 +132,7 @@ mod tests {
 
     fn perfect_match(camera: &Intrinsics, motion: &Se3, p: Vector2<f64>, z: f64) -> Match {
         let (flow, source_depth) = rigid_flow(camera, motion, &p, z).unwrap();
-        Match {
-            target: p,
-            source: p + flow,
-            source_depth,
-        }
+        Match { target: p, source: p + flow, source_depth }
     }
 
     #[test]
@@ -178,29 +140,15 @@ mod tests {
         let (scene, motion) = (testing::room(), testing::handheld());
         let m = perfect_match(&scene.camera, &motion, scene.pixels[100], scene.depths[100]);
         let expected = [
-            (
-                Convention::Consistent,
-                [5.50098096764, 3.68565724832],
-                [-3.42761755499, -1.63442253984],
-            ),
-            (
-                Convention::AsPrinted,
-                [5.32409395425, 3.60236651532],
-                [-3.7131295388, -1.96920494175],
-            ),
+            (Convention::Consistent, [5.50098096764, 3.68565724832], [-3.42761755499, -1.63442253984]),
+            (Convention::AsPrinted, [5.32409395425, 3.60236651532], [-3.7131295388, -1.96920494175]),
         ];
         for (convention, pla, axi) in expected {
             let a = convention.translation(&motion);
             let plane = planar(&scene.camera, &motion.rotation, &a, &m).unwrap();
             let axis = axial(&scene.camera, &motion.rotation, &a, &m).unwrap();
-            assert!(
-                (plane.flow - Vector2::from(pla)).norm() < 1e-9,
-                "{convention:?}"
-            );
-            assert!(
-                (axis.flow - Vector2::from(axi)).norm() < 1e-9,
-                "{convention:?}"
-            );
+            assert!((plane.flow - Vector2::from(pla)).norm() < 1e-9, "{convention:?}");
+            assert!((axis.flow - Vector2::from(axi)).norm() < 1e-9, "{convention:?}");
         }
     }
 
@@ -209,28 +157,16 @@ mod tests {
         let (scene, truth) = (testing::room(), testing::handheld());
         let mut m = perfect_match(&scene.camera, &truth, scene.pixels[100], scene.depths[100]);
         m.source_depth *= 1.03;
-        let (r, a) = (
-            so3::exp(&Vector3::new(0.032, -0.047, 0.021)),
-            Vector3::new(0.066, 0.037, -0.085),
-        );
+        let (r, a) = (so3::exp(&Vector3::new(0.032, -0.047, 0.021)), Vector3::new(0.066, 0.037, -0.085));
         let flow = planar(&scene.camera, &r, &a, &m).unwrap().flow;
         assert!((flow - Vector2::new(4.19141304797, 4.63037185311)).norm() < 1e-9);
         let pla = planar_jacobian(&scene.camera, &r, &a, &m);
-        assert!(
-            (pla.translation.column(2) - Vector2::new(-39.9151020004, -18.447246261)).norm() < 1e-8
-        );
-        assert!(
-            (pla.source_depth - Vector2::new(-0.7935029307689584, -0.36672695894860047)).norm()
-                < 1e-10
-        );
+        assert!((pla.translation.column(2) - Vector2::new(-39.9151020004, -18.447246261)).norm() < 1e-8);
+        assert!((pla.source_depth - Vector2::new(-0.7935029307689584, -0.36672695894860047)).norm() < 1e-10);
         let axi = axial_jacobian(&scene.camera, &r, &a, &m);
-        let row = axi.rotation.row(0).transpose()
-            - Vector3::new(39.6614409565, -486.24625546, -84.0476472354);
+        let row = axi.rotation.row(0).transpose() - Vector3::new(39.6614409565, -486.24625546, -84.0476472354);
         assert!(row.norm() < 1e-7);
-        assert_eq!(
-            pla.translation.column(0).norm() + axi.translation.column(2).norm(),
-            0.0
-        );
+        assert_eq!(pla.translation.column(0).norm() + axi.translation.column(2).norm(), 0.0);
     }
 
     proptest! {

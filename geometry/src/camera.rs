@@ -30,21 +30,8 @@ impl Intrinsics {
     /// # Errors
     /// [`GeometryError::Intrinsics`] when a focal length is not finite and positive, the principal
     /// point is not finite, or the image is empty.
-    pub fn new(
-        fu: f64,
-        fv: f64,
-        u0: f64,
-        v0: f64,
-        width: usize,
-        height: usize,
-    ) -> Result<Self, GeometryError> {
-        let reject = |field, value, requirement| {
-            Err(GeometryError::Intrinsics {
-                field,
-                value,
-                requirement,
-            })
-        };
+    pub fn new(fu: f64, fv: f64, u0: f64, v0: f64, width: usize, height: usize) -> Result<Self, GeometryError> {
+        let reject = |field, value, requirement| Err(GeometryError::Intrinsics { field, value, requirement });
         for (field, value) in [("fu", fu), ("fv", fv)] {
             if !(value.is_finite() && value > 0.0) {
                 return reject(field, value, "a focal length is finite and positive");
@@ -60,14 +47,7 @@ impl Intrinsics {
                 return reject(field, 0.0, "the image has at least one pixel");
             }
         }
-        Ok(Self {
-            fu,
-            fv,
-            u0,
-            v0,
-            width,
-            height,
-        })
+        Ok(Self { fu, fv, u0, v0, width, height })
     }
 
     /// Viewing ray `K^-1 (u, v, 1)`: direction with third component 1, camera frame.
@@ -79,12 +59,7 @@ impl Intrinsics {
     /// Pixel of a camera-frame point; `None` unless the point lies in front of the camera.
     #[must_use]
     pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
-        (point.z > 0.0).then(|| {
-            Vector2::new(
-                self.fu * point.x / point.z + self.u0,
-                self.fv * point.y / point.z + self.v0,
-            )
-        })
+        (point.z > 0.0).then(|| Vector2::new(self.fu * point.x / point.z + self.u0, self.fv * point.y / point.z + self.v0))
     }
 
     /// The matrix `K`.
@@ -96,17 +71,7 @@ impl Intrinsics {
     /// The matrix `K^-1`.
     #[must_use]
     pub fn inverse_matrix(&self) -> Matrix3<f64> {
-        Matrix3::new(
-            1.0 / self.fu,
-            0.0,
-            -self.u0 / self.fu,
-            0.0,
-            1.0 / self.fv,
-            -self.v0 / self.fv,
-            0.0,
-            0.0,
-            1.0,
-        )
+        Matrix3::new(1.0 / self.fu, 0.0, -self.u0 / self.fu, 0.0, 1.0 / self.fv, -self.v0 / self.fv, 0.0, 0.0, 1.0)
     }
 
     /// Principal point in pixels.
@@ -124,20 +89,10 @@ impl Intrinsics {
     #[must_use]
     #[track_caller]
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        assert!(
-            width > 0 && height > 0,
-            "Intrinsics::resized: target size {width}x{height} is empty"
-        );
+        assert!(width > 0 && height > 0, "Intrinsics::resized: target size {width}x{height} is empty");
         let su = width as f64 / self.width as f64;
         let sv = height as f64 / self.height as f64;
-        Self {
-            fu: self.fu * su,
-            fv: self.fv * sv,
-            u0: (self.u0 + 0.5) * su - 0.5,
-            v0: (self.v0 + 0.5) * sv - 0.5,
-            width,
-            height,
-        }
+        Self { fu: self.fu * su, fv: self.fv * sv, u0: (self.u0 + 0.5) * su - 0.5, v0: (self.v0 + 0.5) * sv - 0.5, width, height }
     }
 
     /// The camera after cutting out the window with first pixel (`x0`, `y0`).
@@ -153,22 +108,13 @@ impl Intrinsics {
             self.width,
             self.height
         );
-        Self {
-            u0: self.u0 - x0 as f64,
-            v0: self.v0 - y0 as f64,
-            width,
-            height,
-            ..*self
-        }
+        Self { u0: self.u0 - x0 as f64, v0: self.v0 - y0 as f64, width, height, ..*self }
     }
 
     /// The camera after mirroring the columns: `u0` becomes `W - 1 - u0`.
     #[must_use]
     pub fn flipped_horizontal(&self) -> Self {
-        Self {
-            u0: self.width as f64 - 1.0 - self.u0,
-            ..*self
-        }
+        Self { u0: self.width as f64 - 1.0 - self.u0, ..*self }
     }
 }
 
@@ -231,20 +177,10 @@ mod tests {
 
     #[test]
     fn bad_calibrations_are_named() {
-        for (fu, u0, w) in [
-            (0.0, 1.0, 2),
-            (f64::NAN, 1.0, 2),
-            (1.0, f64::INFINITY, 2),
-            (1.0, 1.0, 0),
-        ] {
+        for (fu, u0, w) in [(0.0, 1.0, 2), (f64::NAN, 1.0, 2), (1.0, f64::INFINITY, 2), (1.0, 1.0, 0)] {
             assert!(Intrinsics::new(fu, 1.0, u0, 1.0, w, 2).is_err());
         }
-        let message = Intrinsics::new(1.0, -3.0, 0.0, 0.0, 2, 2)
-            .unwrap_err()
-            .to_string();
-        assert!(
-            message.contains("fv") && message.contains("-3"),
-            "{message}"
-        );
+        let message = Intrinsics::new(1.0, -3.0, 0.0, 0.0, 2, 2).unwrap_err().to_string();
+        assert!(message.contains("fv") && message.contains("-3"), "{message}");
     }
 }

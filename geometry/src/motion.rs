@@ -29,15 +29,9 @@ pub struct MotionParts {
 
 impl MotionParts {
     fn new(rotation: Matrix3<f64>, translation: &Vector3<f64>) -> Self {
-        let pure = |translation| Se3 {
-            rotation: Matrix3::identity(),
-            translation,
-        };
+        let pure = |translation| Se3 { rotation: Matrix3::identity(), translation };
         Self {
-            rotation: Se3 {
-                rotation,
-                translation: Vector3::zeros(),
-            },
+            rotation: Se3 { rotation, translation: Vector3::zeros() },
             tangential: pure(tangential_part(translation)),
             radial: pure(radial_part(translation)),
         }
@@ -95,10 +89,7 @@ pub fn alignment_residual(truth: &Se3, estimate: &Se3) -> (Se3, Se3) {
     let t = truth.translation_in_from_frame();
     let error = estimate.translation_in_from_frame() - t;
     let turned = rotation * t - t;
-    let with = |part: Vector3<f64>| Se3 {
-        rotation,
-        translation: turned - part,
-    };
+    let with = |part: Vector3<f64>| Se3 { rotation, translation: turned - part };
     (with(radial_part(&error)), with(tangential_part(&error)))
 }
 
@@ -119,11 +110,7 @@ mod tests {
         let estimate = pose([0.032, -0.047, 0.021], [0.066, 0.037, -0.085]);
         let (planar, _) = alignment_residual(&truth, &estimate);
         let expected = Vector3::new(0.000284298533312, -0.000223880002433, 0.00517431067159);
-        assert!(
-            (planar.translation - expected).norm() < 1e-12,
-            "{}",
-            planar.translation
-        );
+        assert!((planar.translation - expected).norm() < 1e-12, "{}", planar.translation);
     }
 
     #[test]

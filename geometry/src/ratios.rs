@@ -46,11 +46,7 @@ pub fn recovered_translation(
     z: f64,
 ) -> Vector3<f64> {
     let tangential = inverse_tangential_ratios(camera, planar_flow) * z;
-    Vector3::new(
-        tangential.x,
-        tangential.y,
-        z * inverse_radial_ratio(axial_flow, d),
-    )
+    Vector3::new(tangential.x, tangential.y, z * inverse_radial_ratio(axial_flow, d))
 }
 
 /// Standard deviation of `rho_z` under pixel noise `sigma`, at radius `r` from the principal point.
@@ -90,14 +86,8 @@ mod tests {
     #[test]
     fn inverse_ratios_stay_finite_without_flow() {
         let camera = testing::kitti640();
-        assert_eq!(
-            inverse_tangential_ratios(&camera, &Vector2::zeros()),
-            Vector2::zeros()
-        );
-        assert_eq!(
-            inverse_radial_ratio(&Vector2::zeros(), &Vector2::new(3.0, 4.0)),
-            0.0
-        );
+        assert_eq!(inverse_tangential_ratios(&camera, &Vector2::zeros()), Vector2::zeros());
+        assert_eq!(inverse_radial_ratio(&Vector2::zeros(), &Vector2::new(3.0, 4.0)), 0.0);
     }
 
     proptest! {

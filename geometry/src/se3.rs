@@ -22,19 +22,13 @@ impl Se3 {
     /// The motion that changes nothing.
     #[must_use]
     pub fn identity() -> Self {
-        Self {
-            rotation: Matrix3::identity(),
-            translation: Vector3::zeros(),
-        }
+        Self { rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
 
     /// Rotation vector (radians) and translation, taken separately: `R = exp(w)`, `t` as given.
     #[must_use]
     pub fn from_rotation_vector(omega: &Vector3<f64>, translation: Vector3<f64>) -> Self {
-        Self {
-            rotation: so3::exp(omega),
-            translation,
-        }
+        Self { rotation: so3::exp(omega), translation }
     }
 
     /// Exponential of a twist `[omega, nu]`: rotation `exp(omega)`, translation `J_l(omega) nu`.
@@ -42,10 +36,7 @@ impl Se3 {
     pub fn exp(twist: &Vector6<f64>) -> Self {
         let omega = twist.fixed_rows::<3>(0).into_owned();
         let nu = twist.fixed_rows::<3>(3).into_owned();
-        Self {
-            rotation: so3::exp(&omega),
-            translation: so3::left_jacobian(&omega) * nu,
-        }
+        Self { rotation: so3::exp(&omega), translation: so3::left_jacobian(&omega) * nu }
     }
 
     /// Twist `[omega, nu]` whose exponential is this motion.
@@ -59,20 +50,14 @@ impl Se3 {
     /// First `other`, then `self`.
     #[must_use]
     pub fn compose(&self, other: &Self) -> Self {
-        Self {
-            rotation: self.rotation * other.rotation,
-            translation: self.rotation * other.translation + self.translation,
-        }
+        Self { rotation: self.rotation * other.rotation, translation: self.rotation * other.translation + self.translation }
     }
 
     /// The motion back, using `R^-1 = R^T`.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
-        Self {
-            rotation,
-            translation: -(rotation * self.translation),
-        }
+        Self { rotation, translation: -(rotation * self.translation) }
     }
 
     /// Image of a point.
@@ -91,9 +76,7 @@ impl Se3 {
     /// Largest absolute entry of `R^T R - I`.
     #[must_use]
     pub fn orthonormality_error(&self) -> f64 {
-        (self.rotation.tr_mul(&self.rotation) - Matrix3::identity())
-            .abs()
-            .max()
+        (self.rotation.tr_mul(&self.rotation) - Matrix3::identity()).abs().max()
     }
 
     /// Whether the 3x3 part is a proper rotation up to `tolerance` in every entry of `R^T R - I`.
@@ -131,18 +114,11 @@ impl Se3 {
     #[must_use]
     #[track_caller]
     pub fn orthonormalised(&self) -> Self {
-        assert!(
-            self.rotation.iter().all(|x| x.is_finite()),
-            "Se3::orthonormalised: the matrix is not finite: {}",
-            self.rotation
-        );
+        assert!(self.rotation.iter().all(|x| x.is_finite()), "Se3::orthonormalised: the matrix is not finite: {}", self.rotation);
         let svd = svd3(&self.rotation);
         let sign = (svd.u * svd.v.transpose()).determinant().signum();
         let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign));
-        Self {
-            rotation: svd.u * flip * svd.v.transpose(),
-            translation: self.translation,
-        }
+        Self { rotation: svd.u * flip * svd.v.transpose(), translation: self.translation }
     }
 }
 
@@ -169,10 +145,7 @@ mod tests {
 
     #[test]
     fn inverse_translation_matches_reference_value() {
-        let motion = Se3::from_rotation_vector(
-            &Vector3::new(0.03, -0.05, 0.02),
-            Vector3::new(0.06, 0.04, -0.08),
-        );
+        let motion = Se3::from_rotation_vector(&Vector3::new(0.03, -0.05, 0.02), Vector3::new(0.06, 0.04, -0.08));
         assert!((motion.inverse().translation.x + 0.056661070926).abs() < 1e-12);
         let in_target = motion.translation_in_from_frame();
         let expected = Vector3::new(0.056661070926, 0.0363712893823, -0.0840633829333);
@@ -196,10 +169,7 @@ mod tests {
         assert!((m.orthonormalised().rotation - m.rotation).abs().max() < 1e-6);
         m.rotation = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -1.0));
         let message = m.checked("row 7", 1e-6).unwrap_err().to_string();
-        assert!(
-            message.contains("row 7") && message.contains("-1.0"),
-            "{message}"
-        );
+        assert!(message.contains("row 7") && message.contains("-1.0"), "{message}");
     }
 
     proptest! {

@@ -21,20 +21,12 @@ impl Coefficients {
     pub(crate) fn new(x2: f64) -> Self {
         if x2 < 0.25 {
             // Terms alternate and fall by at least 1/500 each: eight reach full precision.
-            return Self {
-                a: alternating(x2, 2.0, 1.0),
-                b: alternating(x2, 3.0, 0.5),
-                c: alternating(x2, 4.0, 1.0 / 6.0),
-            };
+            return Self { a: alternating(x2, 2.0, 1.0), b: alternating(x2, 3.0, 0.5), c: alternating(x2, 4.0, 1.0 / 6.0) };
         }
         let x = x2.sqrt();
         let half = 0.5 * x;
         let sinc_half = half.sin() / half;
-        Self {
-            a: x.sin() / x,
-            b: 0.5 * sinc_half * sinc_half,
-            c: (x - x.sin()) / (x2 * x),
-        }
+        Self { a: x.sin() / x, b: 0.5 * sinc_half * sinc_half, c: (x - x.sin()) / (x2 * x) }
     }
 }
 
@@ -58,11 +50,7 @@ pub fn hat(w: &Vector3<f64>) -> Matrix3<f64> {
 /// Inverse of [`hat`] on the antisymmetric part of `m`.
 #[must_use]
 pub fn vee(m: &Matrix3<f64>) -> Vector3<f64> {
-    0.5 * Vector3::new(
-        m[(2, 1)] - m[(1, 2)],
-        m[(0, 2)] - m[(2, 0)],
-        m[(1, 0)] - m[(0, 1)],
-    )
+    0.5 * Vector3::new(m[(2, 1)] - m[(1, 2)], m[(0, 2)] - m[(2, 0)], m[(1, 0)] - m[(0, 1)])
 }
 
 /// Rotation matrix of a rotation vector in radians (Rodrigues' formula).

@@ -29,11 +29,7 @@ pub(crate) fn svd3(a: &Matrix3<f64>) -> Svd3 {
     }
     sort(&mut w, &mut v);
     let values = Vector3::from_fn(|i, _| w.column(i).norm());
-    Svd3 {
-        u: left_vectors(&w, &values),
-        values,
-        v,
-    }
+    Svd3 { u: left_vectors(&w, &values), values, v }
 }
 
 /// Rotates columns `p` and `q` until they are orthogonal; false when they already were.
@@ -95,15 +91,9 @@ mod tests {
     fn check(a: Matrix3<f64>) -> Svd3 {
         let svd = svd3(&a);
         let back = svd.u * Matrix3::from_diagonal(&svd.values) * svd.v.transpose();
-        assert!(
-            (back - a).abs().max() <= 1e-14 * (1.0 + a.abs().max()),
-            "{a} {back}"
-        );
+        assert!((back - a).abs().max() <= 1e-14 * (1.0 + a.abs().max()), "{a} {back}");
         for m in [svd.u, svd.v] {
-            assert!(
-                (m.tr_mul(&m) - Matrix3::identity()).abs().max() < 1e-14,
-                "{m}"
-            );
+            assert!((m.tr_mul(&m) - Matrix3::identity()).abs().max() < 1e-14, "{m}");
         }
         assert!(svd.values[0] >= svd.values[1] && svd.values[1] >= svd.values[2]);
         svd
@@ -127,12 +117,8 @@ mod tests {
 
     #[test]
     fn tiny_values_keep_their_digits() {
-        let (u, v) = (
-            crate::so3::exp(&Vector3::new(0.3, -0.2, 0.9)),
-            crate::so3::exp(&Vector3::new(-1.0, 0.4, 0.1)),
-        );
-        let svd =
-            check(u * Matrix3::from_diagonal(&Vector3::new(1.0, 1e-6, 1e-12)) * v.transpose());
+        let (u, v) = (crate::so3::exp(&Vector3::new(0.3, -0.2, 0.9)), crate::so3::exp(&Vector3::new(-1.0, 0.4, 0.1)));
+        let svd = check(u * Matrix3::from_diagonal(&Vector3::new(1.0, 1e-6, 1e-12)) * v.transpose());
         assert!((svd.values[1] / 1e-6 - 1.0).abs() < 1e-9);
         assert!((svd.values[2] / 1e-12 - 1.0).abs() < 1e-3);
     }

@@ -29,12 +29,7 @@ pub struct Case {
 pub fn case() -> impl Strategy<Value = Case> {
     let camera = (100.0f64..1000.0, 100.0f64..1000.0, 0.4f64..0.6, 0.4f64..0.6);
     let pixel = (0.0f64..640.0, 0.0f64..192.0, (0.5f64).ln()..(80.0f64).ln());
-    let motion = (
-        prop::array::uniform3(-1.0f64..1.0),
-        0.0f64..0.2,
-        prop::array::uniform3(-1.0f64..1.0),
-        0.0f64..0.3,
-    );
+    let motion = (prop::array::uniform3(-1.0f64..1.0), 0.0f64..0.2, prop::array::uniform3(-1.0f64..1.0), 0.0f64..0.3);
     (camera, pixel, motion).prop_filter_map(
         "degenerate direction or ray behind",
         |(c, (u, v, log_z), (axis, angle, dir, size))| {
@@ -44,16 +39,8 @@ pub fn case() -> impl Strategy<Value = Case> {
             }
             let camera = Intrinsics::new(c.0, c.1, c.2 * 640.0, c.3 * 192.0, 640, 192).ok()?;
             let depth = log_z.exp();
-            let motion = Se3::from_rotation_vector(
-                &(axis.normalize() * angle),
-                dir.normalize() * size * depth,
-            );
-            let case = Case {
-                camera,
-                pixel: Vector2::new(u, v),
-                depth,
-                motion,
-            };
+            let motion = Se3::from_rotation_vector(&(axis.normalize() * angle), dir.normalize() * size * depth);
+            let case = Case { camera, pixel: Vector2::new(u, v), depth, motion };
             ((motion.rotation * camera.ray(u, v)).z > 0.35).then_some(case)
         },
     )
@@ -67,23 +54,15 @@ pub struct Scene {
 }
 
 fn scene(camera: Intrinsics, nu: usize, nv: usize, depth: impl Fn(f64, f64) -> f64) -> Scene {
-    let pixels: Vec<_> = (0..nu * nv)
-        .map(|i| Vector2::new((8 + 16 * (i % nu)) as f64, (8 + 16 * (i / nu)) as f64))
-        .collect();
+    let pixels: Vec<_> = (0..nu * nv).map(|i| Vector2::new((8 + 16 * (i % nu)) as f64, (8 + 16 * (i / nu)) as f64)).collect();
     let depths = pixels.iter().map(|p| depth(p.x, p.y)).collect();
-    Scene {
-        camera,
-        pixels,
-        depths,
-    }
+    Scene { camera, pixels, depths }
 }
 
 /// Street-like depths, 3.7 to 58 m.
 pub fn road() -> Scene {
     scene(kitti640(), 40, 12, |u, v| {
-        let e = 0.6 * (0.011 * u + 0.4).sin()
-            + 0.5 * (0.023 * v - 0.3).cos()
-            + 0.3 * (0.007 * (u + 2.0 * v)).sin();
+        let e = 0.6 * (0.011 * u + 0.4).sin() + 0.5 * (0.023 * v - 0.3).cos() + 0.3 * (0.007 * (u + 2.0 * v)).sin();
         15.0 * e.exp()
     })
 }
@@ -91,9 +70,7 @@ pub fn road() -> Scene {
 /// Room-like depths, 1.8 to 6.1 m.
 pub fn room() -> Scene {
     scene(hand512(), 32, 18, |u, v| {
-        let e = 0.35 * (0.013 * u + 0.2).sin()
-            + 0.3 * (0.017 * v + 0.5).cos()
-            + 0.15 * (0.009 * (u - v)).sin();
+        let e = 0.35 * (0.013 * u + 0.2).sin() + 0.3 * (0.017 * v + 0.5).cos() + 0.15 * (0.009 * (u - v)).sin();
         3.0 * e.exp()
     })
 }

@@ -35,10 +35,7 @@ impl Alignment {
     /// Image of a `world_from_camera` pose: the position is mapped, the orientation only rotated.
     #[must_use]
     pub fn apply_to_pose(&self, world_from_camera: &Se3) -> Se3 {
-        Se3 {
-            rotation: self.rotation * world_from_camera.rotation,
-            translation: self.apply(&world_from_camera.translation),
-        }
+        Se3 { rotation: self.rotation * world_from_camera.rotation, translation: self.apply(&world_from_camera.translation) }
     }
 }
 
@@ -48,10 +45,7 @@ impl Alignment {
 /// [`GeometryError::CountMismatch`] for lists of different length and
 /// [`GeometryError::DegenerateTrajectory`] for fewer than two points, points that are not finite,
 /// or a set without extent.
-pub fn similarity(
-    source: &[Vector3<f64>],
-    reference: &[Vector3<f64>],
-) -> Result<Alignment, GeometryError> {
+pub fn similarity(source: &[Vector3<f64>], reference: &[Vector3<f64>]) -> Result<Alignment, GeometryError> {
     let moments = Moments::new(source, reference)?;
     if !moments.source_extends {
         return Err(degenerate("source points have no extent".to_owned()));
@@ -64,10 +58,7 @@ pub fn similarity(
 /// # Errors
 /// As [`similarity`], except that source points without extent give a result whose rotation is
 /// flagged as ambiguous.
-pub fn rigid(
-    source: &[Vector3<f64>],
-    reference: &[Vector3<f64>],
-) -> Result<Alignment, GeometryError> {
+pub fn rigid(source: &[Vector3<f64>], reference: &[Vector3<f64>]) -> Result<Alignment, GeometryError> {
     Ok(Moments::new(source, reference)?.solve(false))
 }
 
@@ -95,17 +86,9 @@ impl Moments {
             });
         }
         if source.len() < 2 {
-            return Err(degenerate(format!(
-                "{} point(s) for an alignment, at least 2 are needed",
-                source.len()
-            )));
+            return Err(degenerate(format!("{} point(s) for an alignment, at least 2 are needed", source.len())));
         }
-        if let Some(i) = (0..source.len()).find(|&i| {
-            !source[i]
-                .iter()
-                .chain(reference[i].iter())
-                .all(|x| x.is_finite())
-        }) {
+        if let Some(i) = (0..source.len()).find(|&i| !source[i].iter().chain(reference[i].iter()).all(|x| x.is_finite())) {
             return Err(degenerate(format!("point {i} is not finite")));
         }
         let n = source.len() as f64;
@@ -132,18 +115,12 @@ impl Moments {
         let sign = (svd.u * svd.v.transpose()).determinant().signum();
         let flip = Vector3::new(1.0, 1.0, sign);
         let rotation = svd.u * Matrix3::from_diagonal(&flip) * svd.v.transpose();
-        let scale = if with_scale {
-            svd.values.dot(&flip) / self.source_variance
-        } else {
-            1.0
-        };
+        let scale = if with_scale { svd.values.dot(&flip) / self.source_variance } else { 1.0 };
         Alignment {
             rotation,
             translation: self.reference_mean - rotation * self.source_mean * scale,
             scale,
-            rotation_ambiguous: self.count < 3
-                || !self.source_extends
-                || svd.values[1] <= COLLINEAR * svd.values[0],
+            rotation_ambiguous: self.count < 3 || !self.source_extends || svd.values[1] <= COLLINEAR * svd.values[0],
         }
     }
 }
@@ -153,11 +130,7 @@ fn mean(points: &[Vector3<f64>]) -> Vector3<f64> {
 }
 
 fn variance(points: &[Vector3<f64>], mean: &Vector3<f64>) -> f64 {
-    points
-        .iter()
-        .map(|p| (p - mean).norm_squared())
-        .sum::<f64>()
-        / points.len() as f64
+    points.iter().map(|p| (p - mean).norm_squared()).sum::<f64>() / points.len() as f64
 }
 
 fn extends(points: &[Vector3<f64>], mean: &Vector3<f64>) -> bool {
@@ -174,35 +147,21 @@ mod tests {
         (0..12)
             .map(|i| {
                 let x = f64::from(i);
-                Vector3::new(
-                    (1.3 * x).sin() * 4.0,
-                    (0.7 * x).cos() * 9.0,
-                    x - 5.0 * (x * 0.9).sin(),
-                )
+                Vector3::new((1.3 * x).sin() * 4.0, (0.7 * x).cos() * 9.0, x - 5.0 * (x * 0.9).sin())
             })
             .collect()
     }
 
     fn rmse(a: &Alignment, x: &[Vector3<f64>], y: &[Vector3<f64>]) -> f64 {
-        let sum: f64 = x
-            .iter()
-            .zip(y)
-            .map(|(x, y)| (a.apply(x) - y).norm_squared())
-            .sum();
+        let sum: f64 = x.iter().zip(y).map(|(x, y)| (a.apply(x) - y).norm_squared()).sum();
         (sum / x.len() as f64).sqrt()
     }
 
     #[test]
     fn planar_points_are_exact() {
-        let x: Vec<_> = cloud()
-            .iter()
-            .map(|p| Vector3::new(p.x, p.y, 0.0))
-            .collect();
+        let x: Vec<_> = cloud().iter().map(|p| Vector3::new(p.x, p.y, 0.0)).collect();
         let r = so3::exp(&Vector3::new(0.2, 1.9, -0.4));
-        let y: Vec<_> = x
-            .iter()
-            .map(|p| r * p * 0.3 + Vector3::new(1.0, 2.0, 3.0))
-            .collect();
+        let y: Vec<_> = x.iter().map(|p| r * p * 0.3 + Vector3::new(1.0, 2.0, 3.0)).collect();
         let a = similarity(&x, &y).unwrap();
         assert!((a.rotation - r).abs().max() < 1e-12 && (a.scale - 0.3).abs() < 1e-13);
         assert!(!a.rotation_ambiguous);
@@ -255,10 +214,7 @@ mod tests {
             scale: 4.0,
             rotation_ambiguous: false,
         };
-        let pose = a.apply_to_pose(&Se3::from_rotation_vector(
-            &Vector3::new(0.5, 0.0, 0.0),
-            Vector3::x(),
-        ));
+        let pose = a.apply_to_pose(&Se3::from_rotation_vector(&Vector3::new(0.5, 0.0, 0.0), Vector3::x()));
         assert!(pose.is_orthonormal(1e-14));
         assert!((pose.translation - a.apply(&Vector3::x())).norm() < 1e-15);
     }

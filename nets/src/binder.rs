@@ -65,12 +65,7 @@ impl<'t, T: Scalar> Binder<'t, T> {
     }
 
     /// Binds as leaves the parameters whose path satisfies `trainable`, the others as constants.
-    pub fn selective(
-        tape: &'t Tape<T>,
-        params: &ParamSet<T>,
-        mode: Mode,
-        trainable: impl Fn(&str) -> bool,
-    ) -> Self {
+    pub fn selective(tape: &'t Tape<T>, params: &ParamSet<T>, mode: Mode, trainable: impl Fn(&str) -> bool) -> Self {
         let mut bound = Vec::with_capacity(params.len());
         let mut index = BTreeMap::new();
         for (path, entry) in params.iter() {
@@ -83,13 +78,7 @@ impl<'t, T: Scalar> Binder<'t, T> {
             index.insert(path.clone(), bound.len());
             bound.push((path, item));
         }
-        Self {
-            tape,
-            mode,
-            bound,
-            index,
-            statistics: Vec::new(),
-        }
+        Self { tape, mode, bound, index, statistics: Vec::new() }
     }
 
     /// The tape everything is bound to.
@@ -175,11 +164,7 @@ mod tests {
     fn params() -> ParamSet<f64> {
         let mut set = ParamSet::new();
         let shape = Shape::new(1, 2, 1, 1);
-        for (name, kind, value) in [
-            ("a", Kind::Parameter, 3.0),
-            ("m", Kind::Buffer, 5.0),
-            ("b", Kind::Parameter, 7.0),
-        ] {
+        for (name, kind, value) in [("a", Kind::Parameter, 3.0), ("m", Kind::Buffer, 5.0), ("b", Kind::Parameter, 7.0)] {
             let entry = Entry::new(vec![2], kind, Tensor::full(shape, value));
             set.file_mut("net").insert(name, entry);
         }

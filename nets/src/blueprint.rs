@@ -54,16 +54,8 @@ impl Blueprint {
     #[track_caller]
     fn declare(&mut self, path: String, dims: &[usize], kind: Kind, init: Init) {
         split_path(&path);
-        assert!(
-            self.paths.insert(path.clone()),
-            "blueprint: '{path}' is declared twice"
-        );
-        self.declarations.push(Declaration {
-            path,
-            dims: dims.to_vec(),
-            kind,
-            init,
-        });
+        assert!(self.paths.insert(path.clone()), "blueprint: '{path}' is declared twice");
+        self.declarations.push(Declaration { path, dims: dims.to_vec(), kind, init });
     }
 
     /// The tensors in order.
@@ -73,11 +65,7 @@ impl Blueprint {
 
     /// Number of trained scalars.
     pub fn parameter_count(&self) -> usize {
-        self.declarations
-            .iter()
-            .filter(|d| d.kind == Kind::Parameter)
-            .map(|d| d.dims.iter().product::<usize>())
-            .sum()
+        self.declarations.iter().filter(|d| d.kind == Kind::Parameter).map(|d| d.dims.iter().product::<usize>()).sum()
     }
 
     /// Start values drawn from `seed`, see [`Init::draw`].
@@ -112,8 +100,7 @@ impl Blueprint {
 /// When there is no colon.
 #[track_caller]
 pub(crate) fn split_path(path: &str) -> (&str, &str) {
-    path.split_once(':')
-        .unwrap_or_else(|| panic!("parameter path '{path}' has no 'file:' part"))
+    path.split_once(':').unwrap_or_else(|| panic!("parameter path '{path}' has no 'file:' part"))
 }
 
 #[cfg(test)]

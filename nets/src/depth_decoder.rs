@@ -25,26 +25,16 @@ impl DepthDecoder {
         let unit = |level: usize| {
             let number = 2 * (4 - level);
             let name = |n: usize| format!("{file}:decoder.{n}.conv.conv");
-            let below = if level == 4 {
-                encoder[4]
-            } else {
-                widths[level + 1]
-            };
+            let below = if level == 4 { encoder[4] } else { widths[level + 1] };
             let skip = if level > 0 { encoder[level - 1] } else { 0 };
             let width = widths[level];
-            [
-                ReflectConv::new(name(number), below, width),
-                ReflectConv::new(name(number + 1), width + skip, width),
-            ]
+            [ReflectConv::new(name(number), below, width), ReflectConv::new(name(number + 1), width + skip, width)]
         };
         let head = |(position, &scale): (usize, &usize)| {
             let path = format!("{file}:decoder.{}.conv", 10 + position);
             (scale, ReflectConv::new(path, widths[scale], 1))
         };
-        Self {
-            units: (0..5).map(unit).collect(),
-            heads: scales.iter().enumerate().map(head).collect(),
-        }
+        Self { units: (0..5).map(unit).collect(), heads: scales.iter().enumerate().map(head).collect() }
     }
 
     /// Adds the tensors of the decoder to the list.
@@ -57,11 +47,7 @@ impl DepthDecoder {
 
     /// Five features, fine to coarse -> one disparity in (0, 1) per scale, (N, 1, H / 2^s, W / 2^s),
     /// finest first.
-    pub fn forward<'t, T: Scalar>(
-        &self,
-        binder: &Binder<'t, T>,
-        features: &[Var<'t, T>; 5],
-    ) -> Vec<Var<'t, T>> {
+    pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, features: &[Var<'t, T>; 5]) -> Vec<Var<'t, T>> {
         let mut disparities = Vec::with_capacity(self.heads.len());
         let mut x = features[4];
         for level in (0..5).rev() {

@@ -17,10 +17,7 @@ pub enum DepthNetKind {
     Resnet18,
 }
 
-const NAMES: &[(&str, DepthNetKind)] = &[
-    ("nano_resnet", DepthNetKind::NanoResnet),
-    ("resnet18", DepthNetKind::Resnet18),
-];
+const NAMES: &[(&str, DepthNetKind)] = &[("nano_resnet", DepthNetKind::NanoResnet), ("resnet18", DepthNetKind::Resnet18)];
 
 impl DepthNetKind {
     /// The sizes behind the name.
@@ -85,11 +82,7 @@ impl DepthNet {
     /// # Panics
     /// When height or width is not a multiple of 32 or is below 64.
     #[track_caller]
-    pub fn forward<'t, T: Scalar>(
-        &self,
-        binder: &mut Binder<'t, T>,
-        images: Var<'t, T>,
-    ) -> Vec<Var<'t, T>> {
+    pub fn forward<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, images: Var<'t, T>) -> Vec<Var<'t, T>> {
         match self {
             Self::ResNet(net) => {
                 let features = net.features(binder, images);

@@ -23,9 +23,7 @@ fn unit_from(seed: u64, index: usize) -> f64 {
 pub fn values(name: &str, dims: &[usize], gain: f64) -> Vec<f64> {
     let seed = fnv1a64(name);
     let rule = rule(name, dims, gain);
-    (0..dims.iter().product())
-        .map(|i| f64::from(rule.apply(unit_from(seed, i)) as f32))
-        .collect()
+    (0..dims.iter().product()).map(|i| f64::from(rule.apply(unit_from(seed, i)) as f32)).collect()
 }
 
 /// `offset + scale * v`, or with the magnitude of `v`.
@@ -56,11 +54,7 @@ fn rule(name: &str, dims: &[usize], gain: f64) -> Rule {
         }
         _ => (1.0, 0.1, false),
     };
-    Rule {
-        offset,
-        scale,
-        magnitude,
-    }
+    Rule { offset, scale, magnitude }
 }
 
 #[cfg(test)]
@@ -69,12 +63,7 @@ mod tests {
 
     #[test]
     fn raw_values_match_the_rule() {
-        let expected = [
-            -0.156_364_214_822_970_47,
-            0.878_075_377_120_829_2,
-            0.268_311_784_652_361_05,
-            -0.887_764_791_932_398_1,
-        ];
+        let expected = [-0.156_364_214_822_970_47, 0.878_075_377_120_829_2, 0.268_311_784_652_361_05, -0.887_764_791_932_398_1];
         for (i, e) in expected.into_iter().enumerate() {
             assert_eq!(unit("loss.disp0", i), e);
         }

@@ -2,9 +2,7 @@
 
 /// 64-bit FNV-1a hash of the UTF-8 bytes of `text`.
 pub(crate) fn fnv1a64(text: &str) -> u64 {
-    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
-    })
+    text.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3))
 }
 
 /// Output `index` (from 0) of the splitmix64 sequence that starts at `seed`.

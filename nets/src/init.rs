@@ -26,17 +26,13 @@ impl Init {
     /// The default of convolution and linear layers: uniform in `+-1/sqrt(fan_in)`, for weights
     /// and biases alike.
     pub fn fan_in(fan_in: usize) -> Self {
-        Self::Uniform {
-            bound: 1.0 / (fan_in.max(1) as f64).sqrt(),
-        }
+        Self::Uniform { bound: 1.0 / (fan_in.max(1) as f64).sqrt() }
     }
 
     /// Kaiming normal with fan-out and the gain of the ReLU: deviation `sqrt(2 / fan_out)`, where
     /// `fan_out` is the number of output channels times the kernel area.
     pub fn kaiming_fan_out(fan_out: usize) -> Self {
-        Self::Normal {
-            deviation: (2.0 / fan_out.max(1) as f64).sqrt(),
-        }
+        Self::Normal { deviation: (2.0 / fan_out.max(1) as f64).sqrt() }
     }
 }
 
@@ -45,9 +41,7 @@ pub fn draw(init: &Init, seed: u64, path: &str, len: usize) -> Vec<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64(splitmix64(seed ^ fnv1a64(path), 0));
     match *init {
         Init::Constant(value) => vec![value; len],
-        Init::Uniform { bound } => (0..len)
-            .map(|_| bound * (2.0 * unit(&mut rng) - 1.0))
-            .collect(),
+        Init::Uniform { bound } => (0..len).map(|_| bound * (2.0 * unit(&mut rng) - 1.0)).collect(),
         Init::Normal { deviation } => (0..len).map(|_| deviation * normal(&mut rng)).collect(),
     }
 }

@@ -69,20 +69,14 @@ impl<T: Scalar> ParamSet<T> {
 
     /// Paths and entries, file by file.
     pub fn iter(&self) -> impl Iterator<Item = (String, &Entry<T>)> {
-        self.files().flat_map(|(file, params)| {
-            params
-                .iter()
-                .map(move |(name, entry)| (format!("{file}:{name}"), entry))
-        })
+        self.files().flat_map(|(file, params)| params.iter().map(move |(name, entry)| (format!("{file}:{name}"), entry)))
     }
 
     /// Paths and entries, file by file, to be changed.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = (String, &mut Entry<T>)> {
-        self.files.iter_mut().flat_map(|(file, params)| {
-            params
-                .iter_mut()
-                .map(move |(name, entry)| (format!("{file}:{name}"), entry))
-        })
+        self.files
+            .iter_mut()
+            .flat_map(|(file, params)| params.iter_mut().map(move |(name, entry)| (format!("{file}:{name}"), entry)))
     }
 
     /// The trained tensors, in the order in which [`crate::Binder::gradients`] returns gradients.
@@ -113,9 +107,7 @@ impl<T: Scalar> ParamSet<T> {
     /// The same values in another scalar type.
     pub fn cast<U: Scalar>(&self) -> ParamSet<U> {
         let cast = |(name, p): &(String, Params<T>)| (name.clone(), p.cast());
-        ParamSet {
-            files: self.files.iter().map(cast).collect(),
-        }
+        ParamSet { files: self.files.iter().map(cast).collect() }
     }
 
     /// Moves running statistics towards those of the batches seen in training:
@@ -153,11 +145,9 @@ mod tests {
     fn set() -> ParamSet<f64> {
         let mut set = ParamSet::new();
         let shape = Shape::new(1, 2, 1, 1);
-        for (name, kind, value) in [
-            ("bn.weight", Kind::Parameter, 1.0),
-            ("bn.running_mean", Kind::Buffer, 2.0),
-            ("bn.running_var", Kind::Buffer, 4.0),
-        ] {
+        for (name, kind, value) in
+            [("bn.weight", Kind::Parameter, 1.0), ("bn.running_mean", Kind::Buffer, 2.0), ("bn.running_var", Kind::Buffer, 4.0)]
+        {
             let entry = Entry::new(vec![2], kind, Tensor::full(shape, value));
             set.file_mut("net").insert(name, entry);
         }

@@ -28,11 +28,7 @@ impl<T: Scalar> Entry<T> {
     /// When the tensor does not have the shape that [`shape_of`] gives for `dims`.
     #[track_caller]
     pub fn new(dims: Vec<usize>, kind: Kind, tensor: Tensor<T>) -> Self {
-        assert_eq!(
-            tensor.shape(),
-            shape_of(&dims),
-            "entry: tensor shape does not fit the stored dimensions {dims:?}"
-        );
+        assert_eq!(tensor.shape(), shape_of(&dims), "entry: tensor shape does not fit the stored dimensions {dims:?}");
         Self { dims, kind, tensor }
     }
 
@@ -57,11 +53,7 @@ impl<T: Scalar> Entry<T> {
     /// When the shape differs.
     #[track_caller]
     pub fn set(&mut self, tensor: Tensor<T>) {
-        assert_eq!(
-            tensor.shape(),
-            self.tensor.shape(),
-            "entry: new values must keep the shape"
-        );
+        assert_eq!(tensor.shape(), self.tensor.shape(), "entry: new values must keep the shape");
         self.tensor = tensor;
     }
 }
@@ -94,11 +86,7 @@ pub struct Params<T: Scalar> {
 impl<T: Scalar> Params<T> {
     /// An empty map.
     pub fn new() -> Self {
-        Self {
-            names: Vec::new(),
-            entries: Vec::new(),
-            index: BTreeMap::new(),
-        }
+        Self { names: Vec::new(), entries: Vec::new(), index: BTreeMap::new() }
     }
 
     /// Adds an entry at the end.
@@ -151,11 +139,7 @@ impl<T: Scalar> Params<T> {
 
     /// Number of trained scalars.
     pub fn parameter_count(&self) -> usize {
-        self.entries
-            .iter()
-            .filter(|e| e.kind == Kind::Parameter)
-            .map(|e| e.tensor.shape().len())
-            .sum()
+        self.entries.iter().filter(|e| e.kind == Kind::Parameter).map(|e| e.tensor.shape().len()).sum()
     }
 
     /// The same values in another scalar type.

@@ -18,16 +18,9 @@ impl PoseDecoder {
     /// The decoder stored in the checkpoint file `file`: `inputs` channels in, `width` inside,
     /// 6 numbers for each of `frames` frames out.
     pub fn new(file: &str, inputs: usize, width: usize, frames: usize) -> Self {
-        let conv = |n: usize, inputs, outputs, kernel| {
-            ConvLayer::new(format!("{file}:net.{n}"), inputs, outputs, kernel)
-        };
+        let conv = |n: usize, inputs, outputs, kernel| ConvLayer::new(format!("{file}:net.{n}"), inputs, outputs, kernel);
         Self {
-            convs: [
-                conv(0, inputs, width, 1),
-                conv(1, width, width, 3),
-                conv(2, width, width, 3),
-                conv(3, width, 6 * frames, 1),
-            ],
+            convs: [conv(0, inputs, width, 1), conv(1, width, width, 3), conv(2, width, width, 3), conv(3, width, 6 * frames, 1)],
         }
     }
 
@@ -38,11 +31,7 @@ impl PoseDecoder {
 
     /// (N, inputs, h, w) -> (N, 6 frames, 1, 1): for each frame the axis-angle vector, then the
     /// translation.
-    pub fn forward<'t, T: Scalar>(
-        &self,
-        binder: &Binder<'t, T>,
-        feature: Var<'t, T>,
-    ) -> Var<'t, T> {
+    pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, feature: Var<'t, T>) -> Var<'t, T> {
         let [squeeze, first, second, last] = &self.convs;
         let x = squeeze.forward(binder, feature).relu();
         let x = first.forward(binder, x).relu();

@@ -17,10 +17,7 @@ pub enum PoseNetKind {
     Resnet18,
 }
 
-const NAMES: &[(&str, PoseNetKind)] = &[
-    ("nano", PoseNetKind::Nano),
-    ("resnet18", PoseNetKind::Resnet18),
-];
+const NAMES: &[(&str, PoseNetKind)] = &[("nano", PoseNetKind::Nano), ("resnet18", PoseNetKind::Resnet18)];
 
 impl PoseNetKind {
     /// The sizes behind the name.
@@ -106,10 +103,7 @@ impl PoseNet {
             Self::ResNet(net) => {
                 let features = net.features(binder, first, second);
                 let raw = net.decode(binder, features[4]);
-                PosePrediction {
-                    axis_angle: raw.slice(1, 0, 3),
-                    translation: raw.slice(1, 3, 3),
-                }
+                PosePrediction { axis_angle: raw.slice(1, 0, 3), translation: raw.slice(1, 3, 3) }
             }
         }
     }
@@ -119,12 +113,7 @@ impl PoseNet {
     /// # Panics
     /// As [`PoseNet::forward`].
     #[track_caller]
-    pub fn predict<T: Scalar>(
-        &self,
-        params: &ParamSet<T>,
-        first: &Tensor<T>,
-        second: &Tensor<T>,
-    ) -> (Tensor<T>, Tensor<T>) {
+    pub fn predict<T: Scalar>(&self, params: &ParamSet<T>, first: &Tensor<T>, second: &Tensor<T>) -> (Tensor<T>, Tensor<T>) {
         let tape = Tape::new();
         let mut binder = Binder::frozen(&tape, params);
         let (first, second) = (tape.constant(first.clone()), tape.constant(second.clone()));

@@ -18,20 +18,12 @@ pub struct ResNetDepthConfig {
 impl ResNetDepthConfig {
     /// 134 204 parameters: for tests and small machines.
     pub fn nano() -> Self {
-        Self {
-            encoder: ResNetConfig::nano(1, [8, 8, 16, 32, 64]),
-            decoder: [8, 8, 16, 16, 32],
-            scales: vec![0, 1, 2, 3],
-        }
+        Self { encoder: ResNetConfig::nano(1, [8, 8, 16, 32, 64]), decoder: [8, 8, 16, 16, 32], scales: vec![0, 1, 2, 3] }
     }
 
     /// The size of the reference checkpoints.
     pub fn resnet18() -> Self {
-        Self {
-            encoder: ResNetConfig::resnet18(1),
-            decoder: [16, 32, 64, 128, 256],
-            scales: vec![0, 1, 2, 3],
-        }
+        Self { encoder: ResNetConfig::resnet18(1), decoder: [16, 32, 64, 128, 256], scales: vec![0, 1, 2, 3] }
     }
 }
 
@@ -58,11 +50,7 @@ impl ResNetDepth {
     /// When height or width is not a multiple of 32 or below 64: the coarsest map must have at
     /// least two rows and columns to be reflected at its border.
     #[track_caller]
-    pub fn features<'t, T: Scalar>(
-        &self,
-        binder: &mut Binder<'t, T>,
-        images: Var<'t, T>,
-    ) -> [Var<'t, T>; 5] {
+    pub fn features<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, images: Var<'t, T>) -> [Var<'t, T>; 5] {
         let shape = images.shape();
         let fits = |size: usize| size.is_multiple_of(32) && size >= 64;
         assert!(
@@ -73,11 +61,7 @@ impl ResNetDepth {
     }
 
     /// Features -> disparities in (0, 1), finest first.
-    pub fn decode<'t, T: Scalar>(
-        &self,
-        binder: &Binder<'t, T>,
-        features: &[Var<'t, T>; 5],
-    ) -> Vec<Var<'t, T>> {
+    pub fn decode<'t, T: Scalar>(&self, binder: &Binder<'t, T>, features: &[Var<'t, T>; 5]) -> Vec<Var<'t, T>> {
         self.decoder.forward(binder, features)
     }
 }

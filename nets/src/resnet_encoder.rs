@@ -27,22 +27,12 @@ pub struct ResNetConfig {
 impl ResNetConfig {
     /// ResNet-18 as in the reference checkpoints.
     pub fn resnet18(images: usize) -> Self {
-        Self {
-            images,
-            widths: [64, 64, 128, 256, 512],
-            blocks: [2; 4],
-            classifier: true,
-        }
+        Self { images, widths: [64, 64, 128, 256, 512], blocks: [2; 4], classifier: true }
     }
 
     /// One block per layer and the given widths, without the classifier.
     pub fn nano(images: usize, widths: [usize; 5]) -> Self {
-        Self {
-            images,
-            widths,
-            blocks: [1; 4],
-            classifier: false,
-        }
+        Self { images, widths, blocks: [1; 4], classifier: false }
     }
 }
 
@@ -108,18 +98,9 @@ impl ResNetEncoder {
     /// # Panics
     /// When the number of channels is not three per image.
     #[track_caller]
-    pub fn forward<'t, T: Scalar>(
-        &self,
-        binder: &mut Binder<'t, T>,
-        images: Var<'t, T>,
-    ) -> [Var<'t, T>; 5] {
+    pub fn forward<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, images: Var<'t, T>) -> [Var<'t, T>; 5] {
         let channels = 3 * self.config.images;
-        assert_eq!(
-            images.shape().c(),
-            channels,
-            "resnet encoder: input {:?} needs {channels} channels",
-            images.shape()
-        );
+        assert_eq!(images.shape().c(), channels, "resnet encoder: input {:?} needs {channels} channels", images.shape());
         let x = images.add_scalar(-INPUT_MEAN).scale(1.0 / INPUT_DEVIATION);
         let x = self.conv1.forward(binder, x);
         let first = self.norm1.forward(binder, x).relu();

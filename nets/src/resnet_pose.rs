@@ -18,20 +18,12 @@ pub struct ResNetPoseConfig {
 impl ResNetPoseConfig {
     /// 394 700 parameters: for tests and small machines.
     pub fn nano() -> Self {
-        Self {
-            encoder: ResNetConfig::nano(2, [16, 16, 32, 64, 128]),
-            decoder: 64,
-            frames: 2,
-        }
+        Self { encoder: ResNetConfig::nano(2, [16, 16, 32, 64, 128]), decoder: 64, frames: 2 }
     }
 
     /// The size of the reference checkpoints.
     pub fn resnet18() -> Self {
-        Self {
-            encoder: ResNetConfig::resnet18(2),
-            decoder: 256,
-            frames: 2,
-        }
+        Self { encoder: ResNetConfig::resnet18(2), decoder: 256, frames: 2 }
     }
 }
 
@@ -57,14 +49,8 @@ impl ResNetPose {
     /// # Panics
     /// When an image has not three channels or the two differ in size.
     #[track_caller]
-    pub fn features<'t, T: Scalar>(
-        &self,
-        binder: &mut Binder<'t, T>,
-        first: Var<'t, T>,
-        second: Var<'t, T>,
-    ) -> [Var<'t, T>; 5] {
-        self.encoder
-            .forward(binder, Var::concat(&[first, second], 1))
+    pub fn features<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, first: Var<'t, T>, second: Var<'t, T>) -> [Var<'t, T>; 5] {
+        self.encoder.forward(binder, Var::concat(&[first, second], 1))
     }
 
     /// Coarsest feature -> (N, 6 frames, 1, 1), scaled by 0.01.

@@ -88,11 +88,7 @@ fn describe(origin: &str, missing: &[String], extra: &[String], wrong: &[Misshap
         parts.push(format!("not known: {}", extra.join(", ")));
     }
     for m in wrong {
-        let Misshapen {
-            name,
-            expected,
-            found,
-        } = m;
+        let Misshapen { name, expected, found } = m;
         parts.push(format!("{name}: expected {expected:?}, found {found:?}"));
     }
     parts.join("; ")
@@ -114,10 +110,7 @@ pub struct StoredTensor {
 /// # Errors
 /// [`WeightError::Read`], [`WeightError::Format`] or [`WeightError::ElementType`].
 pub fn read(path: &Path) -> Result<Vec<StoredTensor>, WeightError> {
-    let bytes = fs::read(path).map_err(|source| WeightError::Read {
-        path: path.to_owned(),
-        source,
-    })?;
+    let bytes = fs::read(path).map_err(|source| WeightError::Read { path: path.to_owned(), source })?;
     parse(&bytes, &path.display().to_string())
 }
 
@@ -126,38 +119,22 @@ pub fn read(path: &Path) -> Result<Vec<StoredTensor>, WeightError> {
 /// # Errors
 /// [`WeightError::Format`] or [`WeightError::ElementType`].
 pub fn parse(bytes: &[u8], origin: &str) -> Result<Vec<StoredTensor>, WeightError> {
-    let file = SafeTensors::deserialize(bytes).map_err(|source| WeightError::Format {
-        origin: origin.to_owned(),
-        source,
-    })?;
+    let file = SafeTensors::deserialize(bytes).map_err(|source| WeightError::Format { origin: origin.to_owned(), source })?;
     let mut tensors = file.tensors();
     tensors.retain(|(name, _)| !name.ends_with(COUNTER));
     tensors.sort_by(|a, b| a.0.cmp(&b.0));
-    tensors
-        .into_iter()
-        .map(|(name, view)| decode(name, &view, origin))
-        .collect()
+    tensors.into_iter().map(|(name, view)| decode(name, &view, origin)).collect()
 }
 
 fn decode(name: String, view: &TensorView, origin: &str) -> Result<StoredTensor, WeightError> {
     let values = match view.dtype() {
-        Dtype::F32 => words::<4>(view.data())
-            .map(|b| f64::from(f32::from_le_bytes(b)))
-            .collect(),
+        Dtype::F32 => words::<4>(view.data()).map(|b| f64::from(f32::from_le_bytes(b))).collect(),
         Dtype::F64 => words::<8>(view.data()).map(f64::from_le_bytes).collect(),
         other => {
-            return Err(WeightError::ElementType {
-                origin: origin.to_owned(),
-                name,
-                dtype: format!("{other:?}"),
-            });
+            return Err(WeightError::ElementType { origin: origin.to_owned(), name, dtype: format!("{other:?}") });
         }
     };
-    Ok(StoredTensor {
-        name,
-        dims: view.shape().to_vec(),
-        values,
-    })
+    Ok(StoredTensor { name, dims: view.shape().to_vec(), values })
 }
 
 fn words<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> {
@@ -169,11 +146,7 @@ fn words<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> {
 ///
 /// # Errors
 /// [`WeightError::Mismatch`] with all differences, unless names and dimensions are equal.
-pub fn assign<T: Scalar>(
-    params: &mut Params<T>,
-    tensors: Vec<StoredTensor>,
-    origin: &str,
-) -> Result<(), WeightError> {
+pub fn assign<T: Scalar>(params: &mut Params<T>, tensors: Vec<StoredTensor>, origin: &str) -> Result<(), WeightError> {
     let mut given: BTreeMap<String, StoredTensor> = BTreeMap::new();
     for tensor in tensors {
         let name = tensor.name.strip_prefix(WRAPPER).unwrap_or(&tensor.name);
@@ -183,11 +156,9 @@ pub fn assign<T: Scalar>(
     for (name, entry) in params.iter() {
         match given.get(name) {
             None => missing.push(name.to_owned()),
-            Some(t) if t.dims != entry.dims() => misshapen.push(Misshapen {
-                name: name.to_owned(),
-                expected: entry.dims().to_vec(),
-                found: t.dims.clone(),
-            }),
+            Some(t) if t.dims != entry.dims() => {
+                misshapen.push(Misshapen { name: name.to_owned(), expected: entry.dims().to_vec(), found: t.dims.clone() })
+            }
             Some(_) => {}
         }
     }
@@ -195,12 +166,7 @@ pub fn assign<T: Scalar>(
     let extra: Vec<String> = given.keys().filter(known).cloned().collect();
     if !(missing.is_empty() && extra.is_empty() && misshapen.is_empty()) {
         let origin = origin.to_owned();
-        return Err(WeightError::Mismatch {
-            origin,
-            missing,
-            extra,
-            misshapen,
-        });
+        return Err(WeightError::Mismatch { origin, missing, extra, misshapen });
     }
     for (name, entry) in params.iter_mut() {
         if let Some(stored) = given.remove(name) {
@@ -220,24 +186,12 @@ pub fn to_bytes<T: Scalar>(params: &Params<T>) -> Result<Vec<u8>, WeightError> {
     let dtype = if double { Dtype::F64 } else { Dtype::F32 };
     let encode = |v: &T| {
         let v = v.to_f64();
-        if double {
-            v.to_le_bytes().to_vec()
-        } else {
-            (v as f32).to_le_bytes().to_vec()
-        }
+        if double { v.to_le_bytes().to_vec() } else { (v as f32).to_le_bytes().to_vec() }
     };
-    let buffers: Vec<Vec<u8>> = params
-        .iter()
-        .map(|(_, e)| e.tensor().data().iter().flat_map(encode).collect())
-        .collect();
-    let format = |source| WeightError::Format {
-        origin: "the set of parameters".to_owned(),
-        source,
-    };
-    let views = params
-        .iter()
-        .zip(&buffers)
-        .map(|((name, e), bytes)| Ok((name, TensorView::new(dtype, e.dims().to_vec(), bytes)?)));
+    let buffers: Vec<Vec<u8>> = params.iter().map(|(_, e)| e.tensor().data().iter().flat_map(encode).collect()).collect();
+    let format = |source| WeightError::Format { origin: "the set of parameters".to_owned(), source };
+    let views =
+        params.iter().zip(&buffers).map(|((name, e), bytes)| Ok((name, TensorView::new(dtype, e.dims().to_vec(), bytes)?)));
     let views = views.collect::<Result<Vec<_>, _>>().map_err(format)?;
     safetensors::serialize(views, None).map_err(format)
 }
@@ -260,10 +214,7 @@ pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), WeightError> {
     write().map_err(|source| {
         // A leftover is harmless, and the first error is the one worth reporting.
         let _ = fs::remove_file(&temporary);
-        WeightError::Write {
-            path: path.to_owned(),
-            source,
-        }
+        WeightError::Write { path: path.to_owned(), source }
     })
 }
 
@@ -288,12 +239,8 @@ pub fn load<T: Scalar>(path: &Path, params: &mut Params<T>) -> Result<(), Weight
 /// # Errors
 /// As [`save`]; also when the directory cannot be made.
 pub fn save_directory<T: Scalar>(directory: &Path, set: &ParamSet<T>) -> Result<(), WeightError> {
-    fs::create_dir_all(directory).map_err(|source| WeightError::Write {
-        path: directory.to_owned(),
-        source,
-    })?;
-    set.files()
-        .try_for_each(|(file, params)| save(&file_path(directory, file), params))
+    fs::create_dir_all(directory).map_err(|source| WeightError::Write { path: directory.to_owned(), source })?;
+    set.files().try_for_each(|(file, params)| save(&file_path(directory, file), params))
 }
 
 /// Loads every file of a network from `<directory>/<file>.safetensors`. All files are read and
@@ -301,10 +248,7 @@ pub fn save_directory<T: Scalar>(directory: &Path, set: &ParamSet<T>) -> Result<
 ///
 /// # Errors
 /// As [`load`]; `set` is unchanged then.
-pub fn load_directory<T: Scalar>(
-    directory: &Path,
-    set: &mut ParamSet<T>,
-) -> Result<(), WeightError> {
+pub fn load_directory<T: Scalar>(directory: &Path, set: &mut ParamSet<T>) -> Result<(), WeightError> {
     let mut loaded = set.clone();
     let files: Vec<String> = set.files().map(|(file, _)| file.to_owned()).collect();
     for file in files {

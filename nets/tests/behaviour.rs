@@ -2,8 +2,8 @@
 
 use dimode_autodiff::{Shape, Tape, Tensor, par};
 use dimode_nets::{
-    Binder, DepthNet, DepthNetConfig, FlowNet, FlowNetConfig, FlowOptions, ImageRange, Mode,
-    Network, ParamSet, PoseNet, PoseNetConfig, fill, weights,
+    Binder, DepthNet, DepthNetConfig, FlowNet, FlowNetConfig, FlowOptions, ImageRange, Mode, Network, ParamSet, PoseNet,
+    PoseNetConfig, fill, weights,
 };
 
 const SIZE: Shape = Shape([1, 3, 64, 96]);
@@ -137,11 +137,7 @@ fn flow_takes_either_range_of_pixel_values() {
     let binder = Binder::frozen(&tape, &params);
     let (a, b) = (tape.constant(image("a", 1)), tape.constant(image("b", 1)));
     let unit = net.forward(&binder, a, b, 2)[1].value();
-    let options = FlowOptions {
-        iterations: Some(2),
-        range: ImageRange::Byte,
-        last_only: true,
-    };
+    let options = FlowOptions { iterations: Some(2), range: ImageRange::Byte, last_only: true };
     let trace = net.trace(&binder, a.scale(255.0), b.scale(255.0), &options);
     assert_eq!(trace.flows.len(), 1);
     let byte = trace.flows[0].value();
@@ -157,10 +153,7 @@ fn flow_of_a_batch_is_that_of_its_pairs() {
     let (net, params) = flow();
     let (a, b) = (image("a", 1), image("b", 1));
     let both = net.predict(&params, &stacked(&[&a, &b]), &stacked(&[&b, &a]), Some(2));
-    let (ab, ba) = (
-        net.predict(&params, &a, &b, Some(2)),
-        net.predict(&params, &b, &a, Some(2)),
-    );
+    let (ab, ba) = (net.predict(&params, &a, &b, Some(2)), net.predict(&params, &b, &a, Some(2)));
     let largest = both.data().iter().fold(0f32, |m, v| m.max(v.abs()));
     let half = ab.data().len();
     assert_near(&both.data()[..half], ab.data(), 1e-3 * largest);

@@ -35,7 +35,8 @@ pub struct Checkpoint {
     /// Name, stored dimensions (rank 0 to 4) and values of each tensor. Names differ; reading returns them in the order of
     /// their names. Values of rank 1 have shape (1, C, 1, 1), of rank 2 (1, 1, rows, columns), of rank 3 (1, a, b, c).
     pub tensors: Vec<(String, Vec<usize>, Tensor<f32>)>,
-    /// All other state. Object keys are written in sorted order.
+    /// All other state: whole numbers, text, lists, objects. Object keys are written in sorted order. Fractions may lose bits
+    /// on the way through JSON and are refused: store `f64::to_bits`, or a tensor.
     pub state: Value,
 }
 
@@ -46,7 +47,7 @@ impl Checkpoint {
     /// **Errors** [`CheckpointError::Write`] with the system's reason (no space, read-only, a file in the way); the previous
     /// checkpoint is untouched then.
     ///
-    /// **Panics** when two tensors have one name, or dimensions and number of values differ.
+    /// **Panics** when two tensors have one name, dimensions and number of values differ, or the state holds a fraction.
     #[track_caller]
     pub fn write(&self, path: &Path) -> Result<(), CheckpointError> {
         let bytes = self.to_bytes(path)?;
@@ -99,12 +100,11 @@ impl Checkpoint {
             assert!(before.is_none(), "checkpoint: two tensors are called '{name}'");
         }
         let state = sorted(&self.state);
+        assert!(!holds_fraction(&state), "checkpoint: the state holds a fraction, store f64::to_bits: {state}");
         let checksum = checksum(encoded.iter().map(|(name, (_, bytes))| (*name, bytes.as_slice())), &state);
         let meta = sorted(&json!({ "format": FORMAT, "checksum": checksum, "state": state }));
         let refuse = |error: safetensors::SafeTensorError| CheckpointError::format(path, error.to_string());
-        let views = encoded.iter().map(|(name, (dims, bytes))| {
-            Ok((*name, TensorView::new(Dtype::F32, dims.to_vec(), bytes)?))
-        });
+        let views = encoded.iter().map(|(name, (dims, bytes))| Ok((*name, TensorView::new(Dtype::F32, dims.to_vec(), bytes)?)));
         let views = views.collect::<Result<Vec<_>, _>>().map_err(refuse)?;
         // One key only: with more, the order of the map would show in the bytes.
         let metadata = HashMap::from([(KEY.to_owned(), meta.to_string())]);
@@ -172,6 +172,15 @@ fn checksum<'a>(tensors: impl Iterator<Item = (&'a str, &'a [u8])>, state: &Valu
     }
     hash.add(sorted(state).to_string().as_bytes());
     hash.hex()
+}
+
+fn holds_fraction(value: &Value) -> bool {
+    match value {
+        Value::Number(number) => number.is_f64(),
+        Value::Array(items) => items.iter().any(holds_fraction),
+        Value::Object(map) => map.values().any(holds_fraction),
+        _ => false,
+    }
 }
 
 /// The same value with the keys of every object in sorted order, whatever map the JSON library was built with.

@@ -81,9 +81,7 @@ impl Model {
     pub fn predict_motion(&self, weights: &Weights, first: &Tensor<f32>, second: &Tensor<f32>) -> Vec<Se3> {
         let (rotation, translation) = self.pose.predict(&weights.pose, first, second);
         let vector = |t: &Tensor<f32>, n: usize| Vector3::from_fn(|i, _| f64::from(t.at(n, i, 0, 0)));
-        (0..first.shape().n())
-            .map(|n| Se3::from_rotation_vector(&vector(&rotation, n), vector(&translation, n)))
-            .collect()
+        (0..first.shape().n()).map(|n| Se3::from_rotation_vector(&vector(&rotation, n), vector(&translation, n))).collect()
     }
 
     /// Flow `[n, 2, h, w]` in pixels from the first to the second image.

@@ -401,8 +401,7 @@ fn first_bad(tensors: impl Iterator<Item = Tensor<f32>>, samples: usize) -> usiz
 fn probe_term<'l>(tape: &'l Tape<f32>, leaves: &Outputs<'l>, term: &Term<'l>) -> TermGradients {
     let gradients: Gradients<f32> = tape.backward(term.value.scale(term.weight));
     let norm = |x: &[f32]| x.iter().map(|&x| f64::from(x) * f64::from(x)).sum::<f64>();
-    let disparity: f64 =
-        leaves.disparities.iter().chain(&leaves.source_disparity).map(|&d| norm(gradients.wrt(d).data())).sum();
+    let disparity: f64 = leaves.disparities.iter().chain(&leaves.source_disparity).map(|&d| norm(gradients.wrt(d).data())).sum();
     let translation = gradients.wrt(leaves.translation);
     let axis = |axes: &[usize]| {
         let pairs = (0..translation.shape().n()).flat_map(|n| axes.iter().map(move |&c| (n, c)));

@@ -53,8 +53,8 @@ impl Default for PretrainConfig {
             presets: vec![Preset::Street, Preset::Handheld, Preset::Lateral],
             width: 128,
             height: 64,
-            steps: 3000,
-            batch: 8,
+            steps: 2500,
+            batch: 4,
             iterations: 4,
             learning_rate: 1e-3,
             warmup: 200,
@@ -90,6 +90,10 @@ pub struct EndPointError {
 /// # Errors
 /// When interrupted, when the loss becomes non-finite, or when the file cannot be written.
 pub fn flow(request: &PretrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<EndPointError>> {
+    par::inside(|| run(request, progress, stop))
+}
+
+fn run(request: &PretrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<EndPointError>> {
     let config = &request.config;
     let net = FlowNet::new(config.flow.config());
     let mut params: ParamSet<f32> = net.init(config.seed);
@@ -114,8 +118,7 @@ pub fn flow(request: &PretrainRequest, progress: &dyn Progress, stop: &AtomicBoo
         }
         let gradients = binder.gradients(&tape.backward_and_free(loss));
         let scale = clip_scale(gradient_norm(&gradients), 1.0);
-        let rate =
-            learning_rate(config.learning_rate, step, config.steps, config.warmup, Decay::Cosine { final_fraction: 0.01 });
+        let rate = learning_rate(config.learning_rate, step, config.steps, config.warmup, Decay::Cosine { final_fraction: 0.01 });
         for gradient in gradients {
             let value = params.get(&gradient.path).expect("bound parameter").tensor().clone();
             let next = optimiser.step(&mut state, &gradient.path, &value, &gradient.gradient, rate, scale);
@@ -227,8 +230,7 @@ impl Worlds {
 }
 
 /// Frame numbers of training pairs: neighbours four times out of five, else two apart.
-const FRAME_PAIRS: [(usize, usize); 10] =
-    [(0, 1), (1, 0), (1, 2), (2, 1), (2, 3), (3, 2), (0, 1), (3, 2), (0, 2), (3, 1)];
+const FRAME_PAIRS: [(usize, usize); 10] = [(0, 1), (1, 0), (1, 2), (2, 1), (2, 3), (3, 2), (0, 1), (3, 2), (0, 2), (3, 1)];
 
 /// Images, flow and validity of a pair as `[1, c, h, w]` tensors, augmented when a generator is given.
 fn sample(first: &Frame, second: &Frame, truth: &PairTruth, rng: Option<&mut ChaCha8Rng>) -> [Tensor<f32>; 4] {

@@ -61,11 +61,12 @@ impl RunLog {
         if !path.exists() {
             return Self::create(path);
         }
-        let mut text = String::new();
-        for record in read(path)?.iter().filter(|record| record.step <= step) {
-            text.push_str(&line(record));
-        }
-        write_atomic(path, text.as_bytes())?;
+        let text = text_of(path)?;
+        let records = parse(&text, path)?;
+        // The lines stay as they were written; a number read and written again might lose its last digit.
+        let kept = text.split_inclusive('\n').zip(&records).filter(|(_, record)| record.step <= step);
+        let kept: String = kept.map(|(line, _)| line).collect();
+        write_atomic(path, kept.as_bytes())?;
         let file = OpenOptions::new().append(true).open(path);
         Ok(Self { path: path.to_owned(), file: file.map_err(|error| DataError::write(path, error))? })
     }
@@ -95,14 +96,20 @@ fn line(record: &StepRecord) -> String {
 ///
 /// **Errors** [`DataError::Missing`], [`DataError::Read`], or [`DataError::Malformed`] with the line.
 pub fn read(path: &Path) -> Result<Vec<StepRecord>, DataError> {
-    let text = fs::read_to_string(path).map_err(|error| DataError::read(path, "the log of a run", error))?;
-    let whole = text.rfind('\n').map_or("", |end| &text[..end]);
-    let parse = |(index, line): (usize, &str)| {
-        serde_json::from_str(line).map_err(|error| {
-            DataError::at_line(path, index + 1, format!("not a record of a step ({error})"), "remove the line")
-        })
+    parse(&text_of(path)?, path)
+}
+
+fn text_of(path: &Path) -> Result<String, DataError> {
+    fs::read_to_string(path).map_err(|error| DataError::read(path, "the log of a run", error))
+}
+
+fn parse(text: &str, path: &Path) -> Result<Vec<StepRecord>, DataError> {
+    let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
+    let record = |(index, line): (usize, &str)| {
+        serde_json::from_str(line)
+            .map_err(|error| DataError::at_line(path, index + 1, format!("not a record of a step ({error})"), "remove the line"))
     };
-    whole.lines().enumerate().map(parse).collect()
+    whole.lines().enumerate().map(record).collect()
 }
 
 #[cfg(test)]

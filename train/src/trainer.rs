@@ -6,8 +6,8 @@
 
 use std::sync::Arc;
 
-use dimode_autodiff::{Pool, Tape, Tensor, Var};
-use dimode_nets::{Binder, Mode, ParamGradient, ParamSet};
+use dimode_autodiff::{Pool, Tape, Tensor, Var, par};
+use dimode_nets::{Binder, FlowOptions, Mode, ParamGradient, ParamSet, StatisticsUpdate};
 
 use crate::batch::{Batch, join};
 use crate::config::{Config, StageConfig};
@@ -66,34 +66,29 @@ impl Trainer {
 
     /// Takes one step at the given learning rate. With `probe` each term's gradient is measured apart.
     ///
+    /// `observed` is the flow that [`observe_flow`] found for this batch; it is found here when it is not given and needed.
+    ///
     /// # Errors
     /// When a loss term or a gradient is not finite; nothing has changed then.
     pub fn step(
         &mut self,
         batch: &Batch,
+        observed: Option<&Tensor<f32>>,
         stage: &StageConfig,
         step: u64,
         rate: f64,
         probe: bool,
     ) -> Result<StepReport, NonFinite> {
-        let flow = self.observed_flow(batch, stage);
-        let tape = Tape::with_pool(self.pool.clone());
-        let mut depth = binder(&tape, &self.weights.depth, stage.train_depth);
-        let mut pose = binder(&tape, &self.weights.pose, stage.train_pose);
-        let outputs = self.run_networks(&tape, batch, stage, &mut depth, &mut pose);
-        let losses =
-            objective::measure(&self.config, self.model.range, &self.pool, batch, stage, &outputs, flow.as_ref(), step, probe)
-                .map_err(|failure| failure.at(step, batch, ADVICE))?;
-        let carried = outputs.carry(&losses.gradients);
-        let gradients = tape.backward_and_free(carried);
-        let depth_gradients = if stage.train_depth { depth.gradients(&gradients) } else { Vec::new() };
-        let pose_gradients = if stage.train_pose { pose.gradients(&gradients) } else { Vec::new() };
-        let statistics = [depth.into_statistics(), pose.into_statistics()];
-        let mut terms = losses.terms;
-        let mut total = losses.total;
+        let shared = &*self;
+        let (scene, flow) = par::join(
+            || shared.scene_gradients(batch, stage, observed, step, probe),
+            || stage.train_flow.then(|| shared.flow_gradients(batch)),
+        );
+        let Scene { mut terms, mut total, depth: depth_gradients, pose: pose_gradients, statistics } =
+            scene.map_err(|failure| failure.at(step, batch, ADVICE))?;
         let mut flow_step = None;
-        if stage.train_flow {
-            let (term, gradients) = self.flow_gradients(batch).map_err(|failure| failure.at(step, batch, ADVICE))?;
+        if let Some(flow) = flow {
+            let (term, gradients) = flow.map_err(|failure| failure.at(step, batch, ADVICE))?;
             total += term.weight * term.value;
             terms.push(term);
             flow_step = Some(gradients);
@@ -123,28 +118,46 @@ impl Trainer {
         Ok(StepReport { total, terms, network_gradients: norms })
     }
 
+    /// Buffers that steps share.
+    pub fn pool(&self) -> &Arc<Pool<f32>> {
+        &self.pool
+    }
+
     fn adamw(&self) -> AdamW {
         let train = &self.config.train;
         AdamW { betas: train.betas, epsilon: train.epsilon, weight_decay: train.weight_decay }
     }
 
-    /// Flow from the target to both sources, `[2 n, 2, h, w]`, previous first; `None` when no term of the stage needs it.
-    fn observed_flow(&self, batch: &Batch, stage: &StageConfig) -> Option<Tensor<f32>> {
-        if !objective::needs_flow(&self.config.loss, stage) {
-            return None;
-        }
-        let images = &batch.plain;
-        let first = join(&[&images.target, &images.target]);
-        let second = join(&[&images.previous, &images.next]);
-        let tape = Tape::with_pool(self.pool.clone());
-        let net = Binder::frozen(&tape, &self.weights.flow);
-        let options = dimode_nets::FlowOptions {
-            iterations: Some(self.model.flow_iterations),
-            last_only: true,
-            ..Default::default()
+    /// Losses of depth and motion, and the gradients of their networks' weights.
+    fn scene_gradients(
+        &self,
+        batch: &Batch,
+        stage: &StageConfig,
+        observed: Option<&Tensor<f32>>,
+        step: u64,
+        probe: bool,
+    ) -> Result<Scene, objective::Failure> {
+        let found;
+        let flow = match observed {
+            None if objective::needs_flow(&self.config.loss, stage) => {
+                found = observe_flow(&self.model, &self.weights.flow, batch, &self.pool);
+                Some(&found)
+            }
+            given => given,
         };
-        let (first, second) = (tape.constant(first), tape.constant(second));
-        Some(self.model.flow.trace(&net, first, second, &options).flows[0].value())
+        let tape = Tape::with_pool(self.pool.clone());
+        let mut depth = binder(&tape, &self.weights.depth, stage.train_depth);
+        let mut pose = binder(&tape, &self.weights.pose, stage.train_pose);
+        let outputs = self.run_networks(&tape, batch, stage, &mut depth, &mut pose);
+        let losses = objective::measure(&self.config, self.model.range, &self.pool, batch, stage, &outputs, flow, step, probe)?;
+        let gradients = tape.backward_and_free(outputs.carry(&losses.gradients));
+        Ok(Scene {
+            terms: losses.terms,
+            total: losses.total,
+            depth: if stage.train_depth { depth.gradients(&gradients) } else { Vec::new() },
+            pose: if stage.train_pose { pose.gradients(&gradients) } else { Vec::new() },
+            statistics: [depth.into_statistics(), pose.into_statistics()],
+        })
     }
 
     fn run_networks<'t>(
@@ -158,11 +171,7 @@ impl Trainer {
         let images = &batch.seen;
         let n = batch.names.len();
         let with_sources = objective::needs_source_depth(stage);
-        let seen = if with_sources {
-            join(&[&images.target, &images.previous, &images.next])
-        } else {
-            images.target.clone()
-        };
+        let seen = if with_sources { join(&[&images.target, &images.previous, &images.next]) } else { images.target.clone() };
         let disparities = self.model.depth.forward(depth, tape.constant(seen));
         let targets = disparities.iter().take(self.config.loss.scales).map(|d| d.slice(0, 0, n)).collect();
         let sources = with_sources.then(|| disparities[0].slice(0, n, 2 * n));
@@ -189,6 +198,26 @@ impl Trainer {
         }
         Ok((term, net.gradients(&tape.backward_and_free(loss))))
     }
+}
+
+/// What the losses of depth and motion say.
+struct Scene {
+    terms: Vec<TermReport>,
+    total: f64,
+    depth: Vec<ParamGradient<f32>>,
+    pose: Vec<ParamGradient<f32>>,
+    statistics: [Vec<StatisticsUpdate<f32>>; 2],
+}
+
+/// Optical flow from the targets of a batch to both sources, `[2 n, 2, h, w]`, previous first; no gradient.
+pub fn observe_flow(model: &Model, weights: &ParamSet<f32>, batch: &Batch, pool: &Arc<Pool<f32>>) -> Tensor<f32> {
+    let images = &batch.plain;
+    let tape = Tape::with_pool(pool.clone());
+    let net = Binder::frozen(&tape, weights);
+    let first = tape.constant(join(&[&images.target, &images.target]));
+    let second = tape.constant(join(&[&images.previous, &images.next]));
+    let options = FlowOptions { iterations: Some(model.flow_iterations), last_only: true, ..FlowOptions::default() };
+    model.flow.trace(&net, first, second, &options).flows[0].value()
 }
 
 fn binder<'t>(tape: &'t Tape<f32>, params: &ParamSet<f32>, train: bool) -> Binder<'t, f32> {

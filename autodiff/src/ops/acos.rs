@@ -12,9 +12,7 @@ fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
 }
 
 fn backward<T: Scalar>(x: &[T], grad_y: &[T], grad_x: &mut [T]) {
-    kernel::zip(grad_x, x, grad_y, |x, g| {
-        -(g / ((T::ONE - x) * (T::ONE + x)).sqrt())
-    });
+    kernel::zip(grad_x, x, grad_y, |x, g| -(g / ((T::ONE - x) * (T::ONE + x)).sqrt()));
 }
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -36,14 +34,8 @@ mod tests {
     #[test]
     fn values_and_slopes_are_known() {
         let pi = std::f64::consts::PI;
-        close(
-            &values(&[1.0, 0.5, 0.0, -1.0], |x| x.acos()),
-            &[0.0, pi / 3.0, pi / 2.0, pi],
-        );
-        close(
-            &slopes(&[0.6, 0.0, -0.8], |x| x.acos()),
-            &[-1.25, -1.0, -1.0 / 0.6],
-        );
+        close(&values(&[1.0, 0.5, 0.0, -1.0], |x| x.acos()), &[0.0, pi / 3.0, pi / 2.0, pi]);
+        close(&slopes(&[0.6, 0.0, -0.8], |x| x.acos()), &[-1.25, -1.0, -1.0 / 0.6]);
     }
 
     #[test]
@@ -56,10 +48,7 @@ mod tests {
         let cosine = [1.0 + 1e-15];
         assert!(values(&cosine, |x| x.acos())[0].is_nan());
         close(&values(&cosine, |x| x.clamp(-1.0, 1.0).acos()), &[0.0]);
-        close(
-            &slopes(&[1.0 + 1e-15], |x| x.clamp(-0.96, 0.96).acos()),
-            &[0.0],
-        );
+        close(&slopes(&[1.0 + 1e-15], |x| x.clamp(-0.96, 0.96).acos()), &[0.0]);
     }
 
     proptest! {

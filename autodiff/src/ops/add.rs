@@ -62,9 +62,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(
-        expected = "add: operands must have equal shapes, got [1, 2, 3, 4] and [1, 2, 4, 3]"
-    )]
+    #[should_panic(expected = "add: operands must have equal shapes, got [1, 2, 3, 4] and [1, 2, 4, 3]")]
     fn different_shapes_are_refused() {
         let tape = Tape::<f64>::new();
         let a = tape.leaf(Tensor::zeros(Shape::new(1, 2, 3, 4)));

@@ -13,16 +13,11 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// **Gradient**: `g`, shared and not copied.
     pub fn add_scalar(self, term: f64) -> Var<'t, T> {
         let y = unary::output(self, |x, y| forward(x, T::from_f64(term), y));
-        self.tape().push(
-            "add_scalar",
-            y,
-            &[self],
-            |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-                if let Some(mut slot) = grads.slot(0) {
-                    slot.add_tensor(g);
-                }
-            },
-        )
+        self.tape().push("add_scalar", y, &[self], |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.add_tensor(g);
+            }
+        })
     }
 }
 

@@ -25,11 +25,7 @@ fn backward_x<T: Scalar>(y: &[T], x: &[T], grad: &[T], grad_x: &mut [T]) {
 fn along<T: Scalar>(a: T, b: T, g: T) -> T {
     let size = a.abs().max(b.abs());
     let (a, b) = (a / size, b / size);
-    if size == T::ZERO {
-        T::ZERO
-    } else {
-        g * (a / (a * a + b * b)) / size
-    }
+    if size == T::ZERO { T::ZERO } else { g * (a / (a * a + b * b)) / size }
 }
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -56,10 +52,7 @@ mod tests {
     #[test]
     fn values_and_slopes_are_known() {
         let (y, x) = ([1.0, 4.0, 0.0, -1.0], [1.0, 3.0, -2.0, 0.0]);
-        close(
-            &values2(&y, &x, |y, x| y.atan2(x)),
-            &[PI / 4.0, 4.0_f64.atan2(3.0), PI, -PI / 2.0],
-        );
+        close(&values2(&y, &x, |y, x| y.atan2(x)), &[PI / 4.0, 4.0_f64.atan2(3.0), PI, -PI / 2.0]);
         let (to_y, to_x) = slopes2(&y, &x, |y, x| y.atan2(x));
         close(&to_y, &[0.5, 0.12, -0.5, 0.0]);
         close(&to_x, &[-0.5, -0.16, 0.0, 1.0]);
@@ -88,13 +81,10 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(
-        expected = "atan2: operands must have equal shapes, got [1, 1, 1, 2] and [1, 2, 1, 1]"
-    )]
+    #[should_panic(expected = "atan2: operands must have equal shapes, got [1, 1, 1, 2] and [1, 2, 1, 1]")]
     fn different_shapes_are_refused() {
         let tape = Tape::new();
-        tape.leaf(row(&[1.0, 2.0]))
-            .atan2(tape.leaf(Tensor::zeros(Shape::new(1, 2, 1, 1))));
+        tape.leaf(row(&[1.0, 2.0])).atan2(tape.leaf(Tensor::zeros(Shape::new(1, 2, 1, 1))));
     }
 
     proptest! {

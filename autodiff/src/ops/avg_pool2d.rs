@@ -12,11 +12,7 @@ fn forward_halves<T: Scalar>(x: &[T], y: &mut [T], window: Window) {
     let quarter = T::from_f64(0.25);
     for (rows, out) in x.chunks_exact(2 * width).zip(y.chunks_exact_mut(out_width)) {
         let (upper, lower) = rows.split_at(width);
-        for ((o, a), b) in out
-            .iter_mut()
-            .zip(upper.chunks_exact(2))
-            .zip(lower.chunks_exact(2))
-        {
+        for ((o, a), b) in out.iter_mut().zip(upper.chunks_exact(2)).zip(lower.chunks_exact(2)) {
             *o = ((a[0] + a[1]) + (b[0] + b[1])) * quarter;
         }
     }
@@ -25,10 +21,7 @@ fn forward_halves<T: Scalar>(x: &[T], y: &mut [T], window: Window) {
 fn backward_halves<T: Scalar>(g: &[T], gx: &mut [T], window: Window) {
     let (width, out_width) = (window.width, window.out_width);
     let quarter = T::from_f64(0.25);
-    for (rows, grad) in gx
-        .chunks_exact_mut(2 * width)
-        .zip(g.chunks_exact(out_width))
-    {
+    for (rows, grad) in gx.chunks_exact_mut(2 * width).zip(g.chunks_exact(out_width)) {
         let (upper, lower) = rows.split_at_mut(width);
         let pairs = upper.chunks_exact_mut(2).zip(lower.chunks_exact_mut(2));
         for ((a, b), &g) in pairs.zip(grad) {
@@ -39,13 +32,7 @@ fn backward_halves<T: Scalar>(g: &[T], gx: &mut [T], window: Window) {
 }
 
 fn forward_plane<T: Scalar>(x: &[T], y: &mut [T], window: Window) {
-    let Window {
-        width,
-        kernel,
-        stride,
-        padding,
-        ..
-    } = window;
+    let Window { width, kernel, stride, padding, .. } = window;
     let scale = T::from_f64(1.0 / (kernel * kernel) as f64);
     let mut column = vec![T::ZERO; width + 2 * padding];
     for (oy, out) in y.chunks_exact_mut(window.out_width).enumerate() {
@@ -61,13 +48,7 @@ fn forward_plane<T: Scalar>(x: &[T], y: &mut [T], window: Window) {
 }
 
 fn backward_plane<T: Scalar>(g: &[T], gx: &mut [T], window: Window) {
-    let Window {
-        width,
-        kernel,
-        stride,
-        padding,
-        ..
-    } = window;
+    let Window { width, kernel, stride, padding, .. } = window;
     let scale = T::from_f64(1.0 / (kernel * kernel) as f64);
     let mut column = vec![T::ZERO; width + 2 * padding];
     for (oy, grad) in g.chunks_exact(window.out_width).enumerate() {
@@ -78,11 +59,7 @@ fn backward_plane<T: Scalar>(g: &[T], gx: &mut [T], window: Window) {
             }
         }
         for row in window.rows(oy) {
-            add_scaled_row(
-                &mut gx[row * width..][..width],
-                scale,
-                &column[padding..padding + width],
-            );
+            add_scaled_row(&mut gx[row * width..][..width], scale, &column[padding..padding + width]);
         }
     }
 }
@@ -104,11 +81,7 @@ impl<'t, T: Scalar> Var<'t, T> {
         let x = self.value();
         let mut y = self.tape().scratch(out_shape.len());
         for_each_plane(&mut y, out_plane, |i, out| {
-            let forward = if halves {
-                forward_halves
-            } else {
-                forward_plane
-            };
+            let forward = if halves { forward_halves } else { forward_plane };
             forward(&x.data()[i * plane..][..plane], out, window);
         });
         let y = self.tape().tensor(out_shape, y);
@@ -116,11 +89,7 @@ impl<'t, T: Scalar> Var<'t, T> {
             if let Some(mut slot) = grads.slot(0) {
                 slot.write(|gx| {
                     for_each_plane(gx, plane, |i, out| {
-                        let backward = if halves {
-                            backward_halves
-                        } else {
-                            backward_plane
-                        };
+                        let backward = if halves { backward_halves } else { backward_plane };
                         out.fill(T::ZERO);
                         backward(&g.data()[i * out_plane..][..out_plane], out, window);
                     });
@@ -184,9 +153,7 @@ mod tests {
         ] {
             check_adjoint(Shape(sizes), 6, |x| x.avg_pool2d(k, s, p));
         }
-        check(&[noise(5, [1, 2, 5, 4])], |v| {
-            v[0].avg_pool2d(3, 2, 1).square()
-        });
+        check(&[noise(5, [1, 2, 5, 4])], |v| v[0].avg_pool2d(3, 2, 1).square());
     }
 
     #[test]

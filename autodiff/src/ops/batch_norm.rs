@@ -32,9 +32,7 @@ fn channel<T: Scalar>(x: &[T], shape: Shape, c: usize) -> impl Iterator<Item = &
 
 /// The planes of `out` by channel: one task reads and writes a channel while it is in the cache.
 fn by_channel<T: Scalar>(out: &mut [T], shape: Shape) -> Vec<Vec<&mut [T]>> {
-    let mut groups: Vec<Vec<&mut [T]>> = (0..shape.c())
-        .map(|_| Vec::with_capacity(shape.n()))
-        .collect();
+    let mut groups: Vec<Vec<&mut [T]>> = (0..shape.c()).map(|_| Vec::with_capacity(shape.n())).collect();
     for (i, plane) in out.chunks_exact_mut(shape.plane().max(1)).enumerate() {
         groups[i % shape.c()].push(plane);
     }
@@ -48,18 +46,10 @@ fn forward<'t, T: Scalar>(
     measure: impl Fn(usize) -> (f64, f64) + Sync + Send,
 ) -> (Tensor<T>, Vec<(f64, f64)>, Statistics<T>) {
     let (shape, value, gamma, beta) = (x.shape(), x.value(), gamma.value(), beta.value());
-    let scaled = |(mean, variance): (f64, f64)| {
-        (
-            T::from_f64(mean),
-            T::from_f64(1.0 / (variance + eps).sqrt()),
-        )
-    };
+    let scaled = |(mean, variance): (f64, f64)| (T::from_f64(mean), T::from_f64(1.0 / (variance + eps).sqrt()));
     let mut measured = vec![(0.0, 0.0); shape.c()];
     let mut y = x.tape().scratch(shape.len());
-    let channels = by_channel(&mut y, shape)
-        .into_iter()
-        .zip(&mut measured)
-        .collect();
+    let channels = by_channel(&mut y, shape).into_iter().zip(&mut measured).collect();
     par::for_each_item(channels, |c, (planes, measured)| {
         *measured = measure(c);
         let (mean, inverse) = scaled(*measured);
@@ -95,27 +85,13 @@ impl<T: Scalar> Saved<T> {
     }
 
     /// Writes the gradient of channel `c` of the input, given the channel's sums.
-    fn input_gradient(
-        &self,
-        g: &[T],
-        c: usize,
-        (total, moment): (f64, f64),
-        planes: Vec<&mut [T]>,
-    ) {
+    fn input_gradient(&self, g: &[T], c: usize, (total, moment): (f64, f64), planes: Vec<&mut [T]>) {
         let shape = self.x.shape();
         let count = (shape.n() * shape.plane()) as f64;
         let (mean, inverse) = self.statistics[c];
-        let (total, moment) = if self.batch {
-            (total, moment)
-        } else {
-            (0.0, 0.0)
-        };
+        let (total, moment) = if self.batch { (total, moment) } else { (0.0, 0.0) };
         let slope = T::from_f64(moment / count * inverse.to_f64());
-        let terms = [
-            T::from_f64(total / count),
-            slope,
-            inverse * self.gamma.data()[c],
-        ];
+        let terms = [T::from_f64(total / count), slope, inverse * self.gamma.data()[c]];
         let operands = channel(g, shape, c).zip(channel(self.x.data(), shape, c));
         for (out, (g, x)) in planes.into_iter().zip(operands) {
             denormalise(g, x, out, mean, terms);
@@ -126,11 +102,7 @@ impl<T: Scalar> Saved<T> {
         let (shape, g) = (self.x.shape(), g.data());
         let wants_sums = self.batch || grads.needs(1) || grads.needs(2);
         let measure = |c| {
-            if wants_sums {
-                self.sums(g, c)
-            } else {
-                (0.0, 0.0)
-            }
+            if wants_sums { self.sums(g, c) } else { (0.0, 0.0) }
         };
         let sums = match grads.slot(0) {
             None => par::map_indices(shape.c(), measure),
@@ -158,10 +130,7 @@ impl<T: Scalar> Saved<T> {
 #[track_caller]
 fn assert_vector(op: &str, name: &str, got: Shape, input: Shape) {
     let expected = Shape::new(1, input.c(), 1, 1);
-    assert!(
-        got == expected,
-        "{op}: input {input} needs {name} of shape {expected}, got {got}"
-    );
+    assert!(got == expected, "{op}: input {input} needs {name} of shape {expected}, got {got}");
 }
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -173,12 +142,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// **Panics** when shapes disagree, a channel has fewer than two values (its variance means nothing) or `eps` is not
     /// positive. Equals PyTorch's `batch_norm(training=True)` apart from the running averages, which the caller keeps.
     #[track_caller]
-    pub fn batch_norm_train(
-        self,
-        gamma: Var<'t, T>,
-        beta: Var<'t, T>,
-        eps: f64,
-    ) -> BatchNormOutput<'t, T> {
+    pub fn batch_norm_train(self, gamma: Var<'t, T>, beta: Var<'t, T>, eps: f64) -> BatchNormOutput<'t, T> {
         let shape = self.shape();
         assert_vector("batch_norm_train", "gamma", gamma.shape(), shape);
         assert_vector("batch_norm_train", "beta", beta.shape(), shape);
@@ -193,18 +157,9 @@ impl<'t, T: Scalar> Var<'t, T> {
         let vector = |values: Vec<T>| Tensor::from_vec(Shape::new(1, shape.c(), 1, 1), values);
         let mean = vector(measured.iter().map(|m| T::from_f64(m.0)).collect());
         let var = vector(measured.iter().map(|m| T::from_f64(m.1)).collect());
-        let saved = Saved {
-            x,
-            gamma: gamma.value(),
-            statistics,
-            batch: true,
-        };
+        let saved = Saved { x, gamma: gamma.value(), statistics, batch: true };
         let parents = [self, gamma, beta];
-        let y = self
-            .tape()
-            .push("batch_norm_train", y, &parents, move |g, grads| {
-                saved.backward(g, grads)
-            });
+        let y = self.tape().push("batch_norm_train", y, &parents, move |g, grads| saved.backward(g, grads));
         BatchNormOutput { y, mean, var }
     }
 
@@ -215,37 +170,17 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// **Gradient**: to input, gamma and beta; `mean` and `var` are constants.
     /// **Panics** when shapes disagree or `eps` is not positive.
     #[track_caller]
-    pub fn batch_norm_eval(
-        self,
-        gamma: Var<'t, T>,
-        beta: Var<'t, T>,
-        mean: &Tensor<T>,
-        var: &Tensor<T>,
-        eps: f64,
-    ) -> Var<'t, T> {
+    pub fn batch_norm_eval(self, gamma: Var<'t, T>, beta: Var<'t, T>, mean: &Tensor<T>, var: &Tensor<T>, eps: f64) -> Var<'t, T> {
         let shape = self.shape();
-        for (name, got) in [
-            ("gamma", gamma.shape()),
-            ("beta", beta.shape()),
-            ("mean", mean.shape()),
-            ("var", var.shape()),
-        ] {
+        for (name, got) in [("gamma", gamma.shape()), ("beta", beta.shape()), ("mean", mean.shape()), ("var", var.shape())] {
             assert_vector("batch_norm_eval", name, got, shape);
         }
         assert!(eps > 0.0, "batch_norm_eval: eps {eps} must be positive");
         let measure = |c: usize| (mean.data()[c].to_f64(), var.data()[c].to_f64());
         let parents = [self, gamma, beta];
         let (y, _, statistics) = forward(parents, eps, measure);
-        let saved = Saved {
-            x: self.value(),
-            gamma: gamma.value(),
-            statistics,
-            batch: false,
-        };
-        self.tape()
-            .push("batch_norm_eval", y, &parents, move |g, grads| {
-                saved.backward(g, grads)
-            })
+        let saved = Saved { x: self.value(), gamma: gamma.value(), statistics, batch: false };
+        self.tape().push("batch_norm_eval", y, &parents, move |g, grads| saved.backward(g, grads))
     }
 }
 
@@ -264,29 +199,11 @@ mod tests {
     fn worked_numbers_of_a_batch() {
         // Channel 0 holds 1 3 | 3 5 over two samples: mean 3, variance 2; channel 1 holds 0 8 | 0 8: mean 4, variance 16.
         let tape = Tape::new();
-        let x = tape.constant(tensor(
-            [2, 2, 1, 2],
-            &[1.0, 3.0, 0.0, 8.0, 3.0, 5.0, 0.0, 8.0],
-        ));
-        let (gamma, beta) = (
-            tape.constant(vector(&[3.0, 10.0])),
-            tape.constant(vector(&[1.0, -1.0])),
-        );
+        let x = tape.constant(tensor([2, 2, 1, 2], &[1.0, 3.0, 0.0, 8.0, 3.0, 5.0, 0.0, 8.0]));
+        let (gamma, beta) = (tape.constant(vector(&[3.0, 10.0])), tape.constant(vector(&[1.0, -1.0])));
         let out = x.batch_norm_train(gamma, beta, 2.0);
         let wide = 40.0 / 18.0_f64.sqrt();
-        close(
-            out.y.value().data(),
-            &[
-                -2.0,
-                1.0,
-                -wide - 1.0,
-                wide - 1.0,
-                1.0,
-                4.0,
-                -wide - 1.0,
-                wide - 1.0,
-            ],
-        );
+        close(out.y.value().data(), &[-2.0, 1.0, -wide - 1.0, wide - 1.0, 1.0, 4.0, -wide - 1.0, wide - 1.0]);
         close(out.mean.data(), &[3.0, 4.0]);
         close(out.var.data(), &[2.0, 16.0]);
     }
@@ -298,10 +215,7 @@ mod tests {
         let x = tape.leaf(tensor([2, 1, 1, 2], &[1.0, 3.0, 3.0, 5.0]));
         let (gamma, beta) = (tape.leaf(vector(&[3.0])), tape.leaf(vector(&[1.0])));
         let y = x.batch_norm_train(gamma, beta, 2.0).y;
-        let grads = tape.backward(
-            y.mul(tape.constant(tensor([2, 1, 1, 2], &[1.0, 0.0, 0.0, 0.0])))
-                .sum(),
-        );
+        let grads = tape.backward(y.mul(tape.constant(tensor([2, 1, 1, 2], &[1.0, 0.0, 0.0, 0.0]))).sum());
         close(grads.wrt(x).data(), &[0.75, -0.375, -0.375, 0.0]);
         close(grads.wrt(gamma).data(), &[-1.0]);
         close(grads.wrt(beta).data(), &[1.0]);
@@ -324,10 +238,7 @@ mod tests {
     fn the_batch_statistics_given_back_reproduce_the_output() {
         let tape = Tape::new();
         let x = tape.constant(noise(2, [3, 4, 5, 3]));
-        let (gamma, beta) = (
-            tape.constant(noise(3, [1, 4, 1, 1])),
-            tape.constant(noise(4, [1, 4, 1, 1])),
-        );
+        let (gamma, beta) = (tape.constant(noise(3, [1, 4, 1, 1])), tape.constant(noise(4, [1, 4, 1, 1])));
         let out = x.batch_norm_train(gamma, beta, 1e-5);
         let again = x.batch_norm_eval(gamma, beta, &out.mean, &out.var, 1e-5);
         close(again.value().data(), out.y.value().data());
@@ -354,33 +265,19 @@ mod tests {
     fn gradient_matches_finite_differences() {
         for sizes in [[2, 3, 3, 2], [1, 2, 5, 1], [4, 1, 1, 1]] {
             let c = sizes[1];
-            let inputs = [
-                noise(6, sizes),
-                noise(7, [1, c, 1, 1]),
-                noise(8, [1, c, 1, 1]),
-            ];
-            check(&inputs, |v| {
-                v[0].batch_norm_train(v[1], v[2], 1e-2).y.square()
-            });
-            let (mean, var) = (
-                noise(9, [1, c, 1, 1]),
-                random(10, Shape::new(1, c, 1, 1), 0.5, 2.0),
-            );
-            check(&inputs, |v| {
-                v[0].batch_norm_eval(v[1], v[2], &mean, &var, 1e-5).square()
-            });
+            let inputs = [noise(6, sizes), noise(7, [1, c, 1, 1]), noise(8, [1, c, 1, 1])];
+            check(&inputs, |v| v[0].batch_norm_train(v[1], v[2], 1e-2).y.square());
+            let (mean, var) = (noise(9, [1, c, 1, 1]), random(10, Shape::new(1, c, 1, 1), 0.5, 2.0));
+            check(&inputs, |v| v[0].batch_norm_eval(v[1], v[2], &mean, &var, 1e-5).square());
         }
     }
 
     #[test]
-    #[should_panic(
-        expected = "batch_norm_train: input [2, 3, 4, 4] needs gamma of shape [1, 3, 1, 1], got [1, 4, 1, 1]"
-    )]
+    #[should_panic(expected = "batch_norm_train: input [2, 3, 4, 4] needs gamma of shape [1, 3, 1, 1], got [1, 4, 1, 1]")]
     fn rejects_another_number_of_channels() {
         let tape = Tape::new();
         let gamma = tape.constant(noise(1, [1, 4, 1, 1]));
-        tape.constant(noise(1, [2, 3, 4, 4]))
-            .batch_norm_train(gamma, gamma, 1e-5);
+        tape.constant(noise(1, [2, 3, 4, 4])).batch_norm_train(gamma, gamma, 1e-5);
     }
 
     #[test]
@@ -388,7 +285,6 @@ mod tests {
     fn rejects_a_single_value_per_channel() {
         let tape = Tape::new();
         let gamma = tape.constant(noise(1, [1, 3, 1, 1]));
-        tape.constant(noise(1, [1, 3, 1, 1]))
-            .batch_norm_train(gamma, gamma, 1e-5);
+        tape.constant(noise(1, [1, 3, 1, 1])).batch_norm_train(gamma, gamma, 1e-5);
     }
 }

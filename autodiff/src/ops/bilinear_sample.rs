@@ -55,13 +55,7 @@ impl Sampler {
         let right = usize::from(image.w() > 1);
         let below = if image.h() > 1 { image.w() } else { 0 };
         let out = image.with_plane(coords.h(), coords.w());
-        Self {
-            image,
-            out,
-            right,
-            below,
-            padding,
-        }
+        Self { image, out, right, below, padding }
     }
 
     /// Calls `f(start, taps)` for every row of one sample's coordinate planes. `start` is the flat index of the row's first
@@ -92,24 +86,14 @@ impl Sampler {
     #[inline(always)]
     fn cell<T: Scalar>(&self, plane: &[T], base: usize) -> [T; 4] {
         let cell = &plane[base..base + self.below + self.right + 1];
-        [
-            cell[0],
-            cell[self.right],
-            cell[self.below],
-            cell[self.below + self.right],
-        ]
+        [cell[0], cell[self.right], cell[self.below], cell[self.below + self.right]]
     }
 
     fn forward<T: Scalar>(&self, image: &[T], coords: &[T], out: &mut [T]) {
         let (plane, out_plane) = (self.image.plane(), self.out.plane());
-        let make = |base, u: AxisTap<T>, v: AxisTap<T>| Tap {
-            base,
-            weights: outer(v.weight, u.weight),
-        };
+        let make = |base, u: AxisTap<T>, v: AxisTap<T>| Tap { base, weights: outer(v.weight, u.weight) };
         self.for_each_row(coords, make, |start, taps| {
-            let planes = image
-                .chunks_exact(plane)
-                .zip(out.chunks_exact_mut(out_plane));
+            let planes = image.chunks_exact(plane).zip(out.chunks_exact_mut(out_plane));
             for (pixels, out) in planes {
                 for (o, tap) in out[start..].iter_mut().zip(taps) {
                     *o = dot(&tap.weights, self.cell(pixels, tap.base));
@@ -124,20 +108,11 @@ impl Sampler {
         let (right, below) = (self.right, self.below);
         let make = |base, u: AxisTap<T>, v: AxisTap<T>| {
             let bad = u.is_nan() || v.is_nan();
-            Tap {
-                base,
-                weights: if bad {
-                    [T::ZERO; 4]
-                } else {
-                    outer(v.weight, u.weight)
-                },
-            }
+            Tap { base, weights: if bad { [T::ZERO; 4] } else { outer(v.weight, u.weight) } }
         };
         gradient.fill(T::ZERO);
         self.for_each_row(coords, make, |start, taps| {
-            let planes = gradient
-                .chunks_exact_mut(plane)
-                .zip(g.chunks_exact(out_plane));
+            let planes = gradient.chunks_exact_mut(plane).zip(g.chunks_exact(out_plane));
             for (pixels, g) in planes {
                 for (&g, tap) in g[start..].iter().zip(taps) {
                     let cell = &mut pixels[tap.base..tap.base + below + right + 1];
@@ -155,17 +130,9 @@ impl Sampler {
         let (plane, out_plane) = (self.image.plane(), self.out.plane());
         let make = |base, u: AxisTap<T>, v: AxisTap<T>| {
             if u.is_nan() || v.is_nan() {
-                SlopeTap {
-                    base,
-                    by_u: [T::ZERO; 4],
-                    by_v: [T::ZERO; 4],
-                }
+                SlopeTap { base, by_u: [T::ZERO; 4], by_v: [T::ZERO; 4] }
             } else {
-                SlopeTap {
-                    base,
-                    by_u: outer(v.weight, u.slope),
-                    by_v: outer(v.slope, u.weight),
-                }
+                SlopeTap { base, by_u: outer(v.weight, u.slope), by_v: outer(v.slope, u.weight) }
             }
         };
         gradient.fill(T::ZERO);
@@ -205,33 +172,26 @@ impl<'t, T: Scalar> Var<'t, T> {
         let (image, points) = (self.value(), coords.value());
         let mut y = self.tape().scratch(sampler.out.len());
         par::for_each_chunk(&mut y, out_len.max(1), |n, out| {
-            sampler.forward(
-                &image.data()[n * image_len..][..image_len],
-                &points.data()[n * coords_len..][..coords_len],
-                out,
-            );
+            sampler.forward(&image.data()[n * image_len..][..image_len], &points.data()[n * coords_len..][..coords_len], out);
         });
         let y = self.tape().tensor(sampler.out, y);
-        self.tape()
-            .push("bilinear_sample", y, &[self, coords], move |g, grads| {
-                let point = |n: usize| &points.data()[n * coords_len..][..coords_len];
-                let g = |n: usize| &g.data()[n * out_len..][..out_len];
-                if let Some(mut slot) = grads.slot(0) {
-                    slot.write(|out| {
-                        par::for_each_chunk(out, image_len.max(1), |n, out| {
-                            sampler.backward_image(g(n), point(n), out)
-                        });
+        self.tape().push("bilinear_sample", y, &[self, coords], move |g, grads| {
+            let point = |n: usize| &points.data()[n * coords_len..][..coords_len];
+            let g = |n: usize| &g.data()[n * out_len..][..out_len];
+            if let Some(mut slot) = grads.slot(0) {
+                slot.write(|out| {
+                    par::for_each_chunk(out, image_len.max(1), |n, out| sampler.backward_image(g(n), point(n), out));
+                });
+            }
+            if let Some(mut slot) = grads.slot(1) {
+                let image = |n: usize| &image.data()[n * image_len..][..image_len];
+                slot.write(|out| {
+                    par::for_each_chunk(out, coords_len.max(1), |n, out| {
+                        sampler.backward_coords(g(n), image(n), point(n), out);
                     });
-                }
-                if let Some(mut slot) = grads.slot(1) {
-                    let image = |n: usize| &image.data()[n * image_len..][..image_len];
-                    slot.write(|out| {
-                        par::for_each_chunk(out, coords_len.max(1), |n, out| {
-                            sampler.backward_coords(g(n), image(n), point(n), out);
-                        });
-                    });
-                }
-            })
+                });
+            }
+        })
     }
 }
 
@@ -248,19 +208,11 @@ mod tests {
     fn at(points: &[(f64, f64)], padding: SamplePadding) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
         let tape = Tape::new();
         let image = tape.leaf(tensor([1, 1, 2, 3], &IMAGE));
-        let flat: Vec<f64> = points
-            .iter()
-            .map(|p| p.0)
-            .chain(points.iter().map(|p| p.1))
-            .collect();
+        let flat: Vec<f64> = points.iter().map(|p| p.0).chain(points.iter().map(|p| p.1)).collect();
         let coords = tape.leaf(tensor([1, 2, 1, points.len()], &flat));
         let y = image.bilinear_sample(coords, padding);
         let grads = tape.backward(y.sum());
-        (
-            y.value().to_vec(),
-            grads.wrt(image).to_vec(),
-            grads.wrt(coords).to_vec(),
-        )
+        (y.value().to_vec(), grads.wrt(image).to_vec(), grads.wrt(coords).to_vec())
     }
 
     #[test]
@@ -276,10 +228,7 @@ mod tests {
 
     #[test]
     fn border_clamps_and_stops_the_gradient_there() {
-        let (value, image, coords) = at(
-            &[(-0.5, 0.25), (2.75, 0.25), (0.5, 1.0), (0.5, 9.0)],
-            Border,
-        );
+        let (value, image, coords) = at(&[(-0.5, 0.25), (2.75, 0.25), (0.5, 1.0), (0.5, 9.0)], Border);
         close(&value, &[2.75, 11.0, 12.0, 12.0]);
         close(&image, &[0.75, 0.0, 0.75, 1.25, 1.0, 0.25]);
         close(&coords, &[0.0, 0.0, 8.0, 8.0, 7.0, 28.0, 0.0, 0.0]);
@@ -287,8 +236,7 @@ mod tests {
 
     #[test]
     fn zeros_fade_out_over_one_pixel() {
-        let (value, image, coords) =
-            at(&[(-0.5, 0.0), (2.75, 1.0), (1.0, -1.5), (0.0, 1.5)], Zeros);
+        let (value, image, coords) = at(&[(-0.5, 0.0), (2.75, 1.0), (1.0, -1.5), (0.0, 1.5)], Zeros);
         close(&value, &[0.5, 8.0, 0.0, 4.0]);
         close(&image, &[0.5, 0.0, 0.0, 0.5, 0.0, 0.25]);
         // Slopes by u: 1 on the left, -32 on the right, 0 outside, (16 - 8)/2; by v: (8 - 1)/2, -8, 0, -8.
@@ -299,13 +247,9 @@ mod tests {
     fn integer_coordinates_return_the_pixels() {
         let tape = Tape::new();
         let x = noise(1, [2, 3, 4, 5]);
-        let grid = Tensor::from_fn(Shape::new(2, 2, 4, 5), |_, c, h, w| {
-            if c == 0 { w as f64 } else { h as f64 }
-        });
+        let grid = Tensor::from_fn(Shape::new(2, 2, 4, 5), |_, c, h, w| if c == 0 { w as f64 } else { h as f64 });
         for padding in [Border, Zeros] {
-            let y = tape
-                .constant(x.clone())
-                .bilinear_sample(tape.constant(grid.clone()), padding);
+            let y = tape.constant(x.clone()).bilinear_sample(tape.constant(grid.clone()), padding);
             assert_eq!(y.value().data(), x.data());
         }
     }
@@ -319,30 +263,16 @@ mod tests {
         close(y.value().data(), &[3.0, 3.0, 5.0, 5.0]);
         close(tape.backward(y.sum()).wrt(coords).data(), &[0.0; 4]);
         let y = image.bilinear_sample(coords, Zeros);
-        close(
-            y.value().data(),
-            &[3.0 * 0.42, 3.0 * 0.75, 5.0 * 0.42, 5.0 * 0.75],
-        );
+        close(y.value().data(), &[3.0 * 0.42, 3.0 * 0.75, 5.0 * 0.42, 5.0 * 0.75]);
     }
 
     #[test]
     fn not_a_number_shows_in_the_value_and_stays_out_of_the_gradients() {
         for padding in [Border, Zeros] {
-            let (value, image, coords) = at(
-                &[
-                    (f64::NAN, 0.5),
-                    (1.0, f64::NAN),
-                    (f64::INFINITY, 0.5),
-                    (1.25, 0.5),
-                ],
-                padding,
-            );
+            let (value, image, coords) = at(&[(f64::NAN, 0.5), (1.0, f64::NAN), (f64::INFINITY, 0.5), (1.25, 0.5)], padding);
             assert!(value[0].is_nan() && value[1].is_nan() && value[2].is_finite());
             assert!(image.iter().chain(&coords).all(|v| v.is_finite()));
-            assert_eq!(
-                (coords[0], coords[1], coords[4], coords[5]),
-                (0.0, 0.0, 0.0, 0.0)
-            );
+            assert_eq!((coords[0], coords[1], coords[4], coords[5]), (0.0, 0.0, 0.0, 0.0));
         }
     }
 
@@ -358,17 +288,11 @@ mod tests {
 
     #[test]
     fn gradient_matches_finite_differences() {
-        for (sizes, (h, w)) in [
-            ([2, 2, 3, 5], (4, 3)),
-            ([1, 1, 1, 4], (5, 2)),
-            ([1, 3, 6, 1], (3, 7)),
-        ] {
+        for (sizes, (h, w)) in [([2, 2, 3, 5], (4, 3)), ([1, 1, 1, 4], (5, 2)), ([1, 3, 6, 1], (3, 7))] {
             let image = noise(3, sizes);
             let coords = points(5, Shape::new(sizes[0], 2, h, w), sizes[3], sizes[2]);
             for padding in [Border, Zeros] {
-                check(&[image.clone(), coords.clone()], |v| {
-                    v[0].bilinear_sample(v[1], padding)
-                });
+                check(&[image.clone(), coords.clone()], |v| v[0].bilinear_sample(v[1], padding));
             }
         }
     }
@@ -377,9 +301,7 @@ mod tests {
     fn linear_in_the_image() {
         let coords = points(7, Shape::new(2, 2, 6, 5), 4, 3);
         for padding in [Border, Zeros] {
-            check_adjoint(Shape::new(2, 3, 3, 4), 8, |x| {
-                x.bilinear_sample(x.tape().constant(coords.clone()), padding)
-            });
+            check_adjoint(Shape::new(2, 3, 3, 4), 8, |x| x.bilinear_sample(x.tape().constant(coords.clone()), padding));
         }
     }
 
@@ -387,15 +309,13 @@ mod tests {
     #[should_panic(expected = "bilinear_sample: image [2, 1, 3, 3] at coordinates [1, 2, 3, 3]")]
     fn rejects_another_number_of_samples() {
         let tape = Tape::new();
-        tape.constant(noise(1, [2, 1, 3, 3]))
-            .bilinear_sample(tape.constant(noise(1, [1, 2, 3, 3])), Border);
+        tape.constant(noise(1, [2, 1, 3, 3])).bilinear_sample(tape.constant(noise(1, [1, 2, 3, 3])), Border);
     }
 
     #[test]
     #[should_panic(expected = "at coordinates [2, 3, 3, 3]")]
     fn rejects_coordinates_of_three_channels() {
         let tape = Tape::new();
-        tape.constant(noise(1, [2, 1, 3, 3]))
-            .bilinear_sample(tape.constant(noise(1, [2, 3, 3, 3])), Border);
+        tape.constant(noise(1, [2, 1, 3, 3])).bilinear_sample(tape.constant(noise(1, [2, 3, 3, 3])), Border);
     }
 }

@@ -4,11 +4,7 @@ use crate::shape::assert_same;
 use crate::{GradSink, Scalar, Tensor, Var};
 
 /// Writes `forward(a, b, y)` into a fresh tensor of the operands' shape.
-pub(crate) fn output<T: Scalar>(
-    a: Var<'_, T>,
-    b: Var<'_, T>,
-    forward: impl FnOnce(&[T], &[T], &mut [T]),
-) -> Tensor<T> {
+pub(crate) fn output<T: Scalar>(a: Var<'_, T>, b: Var<'_, T>, forward: impl FnOnce(&[T], &[T], &mut [T])) -> Tensor<T> {
     let mut y = a.tape().scratch(a.shape().len());
     forward(a.value().data(), b.value().data(), &mut y);
     a.tape().tensor(a.shape(), y)

@@ -6,12 +6,7 @@ use crate::Shape;
 
 /// The positions in a row-major buffer of `shape` of the indices `start..start + len` of `axis`: one contiguous range for
 /// each combination of the axes before it, in order.
-pub(crate) fn band(
-    shape: Shape,
-    axis: usize,
-    start: usize,
-    len: usize,
-) -> impl Iterator<Item = Range<usize>> {
+pub(crate) fn band(shape: Shape, axis: usize, start: usize, len: usize) -> impl Iterator<Item = Range<usize>> {
     let outer: usize = shape.0[..axis].iter().product();
     let inner: usize = shape.0[axis + 1..].iter().product();
     let step = shape.0[axis] * inner;
@@ -24,10 +19,7 @@ pub(crate) fn band(
 /// Panics unless `axis` is one of the four.
 #[track_caller]
 pub(crate) fn assert_axis(op: &str, axis: usize, shape: Shape) {
-    assert!(
-        axis < 4,
-        "{op}: axis {axis} of shape {shape}; the rule: 0 (n), 1 (c), 2 (h) or 3 (w)"
-    );
+    assert!(axis < 4, "{op}: axis {axis} of shape {shape}; the rule: 0 (n), 1 (c), 2 (h) or 3 (w)");
 }
 
 #[cfg(test)]

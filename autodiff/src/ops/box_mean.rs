@@ -126,15 +126,9 @@ mod tests {
     fn three_by_three_of_a_small_plane() {
         // At the corner of 1 2 3 / 4 5 6 / 7 8 9 the mirrored window is 5 4 5 / 2 1 2 / 5 4 5.
         let tape = Tape::new();
-        let x = tape.leaf(tensor(
-            [1, 1, 3, 3],
-            &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0],
-        ));
+        let x = tape.leaf(tensor([1, 1, 3, 3], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]));
         let y = x.box_mean(3);
-        close(
-            y.value().data(),
-            &[33.0, 36.0, 39.0, 42.0, 45.0, 48.0, 51.0, 54.0, 57.0].map(|v| v / 9.0),
-        );
+        close(y.value().data(), &[33.0, 36.0, 39.0, 42.0, 45.0, 48.0, 51.0, 54.0, 57.0].map(|v| v / 9.0));
         // Along one axis the three pixels are read 2, 5 and 2 times.
         let counts = [4.0, 10.0, 4.0, 10.0, 25.0, 10.0, 4.0, 10.0, 4.0].map(|v| v / 9.0);
         close(tape.backward(y.sum()).wrt(x).data(), &counts);
@@ -142,38 +136,23 @@ mod tests {
 
     #[test]
     fn equals_reflected_padding_and_average_pooling() {
-        for (k, sizes) in [
-            (1, [1, 2, 1, 3]),
-            (3, [2, 3, 5, 4]),
-            (5, [1, 2, 3, 7]),
-            (7, [1, 1, 6, 9]),
-        ] {
+        for (k, sizes) in [(1, [1, 2, 1, 3]), (3, [2, 3, 5, 4]), (5, [1, 2, 3, 7]), (7, [1, 1, 6, 9])] {
             let tape = Tape::new();
             let x = tape.constant(noise(k as u64, sizes));
-            close(
-                x.box_mean(k).value().data(),
-                x.pad_reflect(k / 2).avg_pool2d(k, 1, 0).value().data(),
-            );
+            close(x.box_mean(k).value().data(), x.pad_reflect(k / 2).avg_pool2d(k, 1, 0).value().data());
         }
     }
 
     #[test]
     fn constant_planes_stay_constant() {
         let tape = Tape::new();
-        let y = tape
-            .constant(Tensor::full(Shape::new(2, 1, 4, 6), 0.75))
-            .box_mean(3);
+        let y = tape.constant(Tensor::full(Shape::new(2, 1, 4, 6), 0.75)).box_mean(3);
         close(y.value().data(), &[0.75; 48]);
     }
 
     #[test]
     fn transpose_and_finite_differences() {
-        for (k, sizes) in [
-            (3, [2, 2, 5, 7]),
-            (3, [1, 1, 2, 2]),
-            (7, [1, 2, 4, 6]),
-            (1, [2, 1, 1, 1]),
-        ] {
+        for (k, sizes) in [(3, [2, 2, 5, 7]), (3, [1, 1, 2, 2]), (7, [1, 2, 4, 6]), (1, [2, 1, 1, 1])] {
             check_adjoint(Shape(sizes), 3, |x| x.box_mean(k));
         }
         check(&[noise(4, [1, 2, 3, 5])], |v| v[0].box_mean(3).square());

@@ -22,16 +22,11 @@ impl<'t, T: Scalar> Var<'t, T> {
         let mut y = self.tape().scratch(shape.len());
         expand(self.value().data(), small, &mut y, shape, 1.0);
         let y = self.tape().tensor(shape, y);
-        self.tape().push(
-            "broadcast_to",
-            y,
-            &[self],
-            move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-                if let Some(mut slot) = grads.slot(0) {
-                    slot.write(|out| reduce(g.data(), shape, out, small, 1.0));
-                }
-            },
-        )
+        self.tape().push("broadcast_to", y, &[self], move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.write(|out| reduce(g.data(), shape, out, small, 1.0));
+            }
+        })
     }
 }
 
@@ -48,45 +43,28 @@ mod tests {
         let x = tape.leaf(Tensor::from_vec(Shape::new(1, 2, 1, 1), vec![3.0, 7.0]));
         let y = x.broadcast_to(Shape::new(2, 2, 1, 2));
         close(y.value().data(), &[3.0, 3.0, 7.0, 7.0, 3.0, 3.0, 7.0, 7.0]);
-        let weights = tape.constant(Tensor::from_fn(y.shape(), |n, c, _, w| {
-            (100 * n + 10 * c + w) as f64
-        }));
-        close(
-            tape.backward(y.mul(weights).sum()).wrt(x).data(),
-            &[202.0, 242.0],
-        );
+        let weights = tape.constant(Tensor::from_fn(y.shape(), |n, c, _, w| (100 * n + 10 * c + w) as f64));
+        close(tape.backward(y.mul(weights).sum()).wrt(x).data(), &[202.0, 242.0]);
     }
 
     #[test]
     fn rows_and_columns_repeat() {
         let tape = Tape::new();
-        let x = tape.leaf(Tensor::from_vec(
-            Shape::new(1, 1, 1, 3),
-            vec![1.0, 2.0, 3.0],
-        ));
-        close(
-            x.broadcast_to(Shape::new(1, 1, 2, 3)).value().data(),
-            &[1.0, 2.0, 3.0, 1.0, 2.0, 3.0],
-        );
+        let x = tape.leaf(Tensor::from_vec(Shape::new(1, 1, 1, 3), vec![1.0, 2.0, 3.0]));
+        close(x.broadcast_to(Shape::new(1, 1, 2, 3)).value().data(), &[1.0, 2.0, 3.0, 1.0, 2.0, 3.0]);
         let x = x.reshape(Shape::new(1, 1, 3, 1));
-        close(
-            x.broadcast_to(Shape::new(1, 1, 3, 2)).value().data(),
-            &[1.0, 1.0, 2.0, 2.0, 3.0, 3.0],
-        );
+        close(x.broadcast_to(Shape::new(1, 1, 3, 2)).value().data(), &[1.0, 1.0, 2.0, 2.0, 3.0, 3.0]);
     }
 
     #[test]
     #[should_panic(expected = "broadcast_to: [1, 3, 2, 1] does not go with [4, 3, 1, 5]")]
     fn neither_equal_nor_one_is_refused() {
         let tape = Tape::<f64>::new();
-        tape.leaf(Tensor::zeros(Shape::new(1, 3, 2, 1)))
-            .broadcast_to(Shape::new(4, 3, 1, 5));
+        tape.leaf(Tensor::zeros(Shape::new(1, 3, 2, 1))).broadcast_to(Shape::new(4, 3, 1, 5));
     }
 
     fn smaller(shape: Shape, keep: [bool; 4]) -> Shape {
-        Shape(std::array::from_fn(
-            |i| if keep[i] { shape.0[i] } else { 1 },
-        ))
+        Shape(std::array::from_fn(|i| if keep[i] { shape.0[i] } else { 1 }))
     }
 
     proptest! {

@@ -17,9 +17,7 @@ fn forward<T: Scalar>(x: &[T], lo: T, hi: T, y: &mut [T]) {
 }
 
 fn backward<T: Scalar>(x: &[T], lo: T, hi: T, grad_y: &[T], grad_x: &mut [T]) {
-    kernel::zip(grad_x, x, grad_y, |x, g| {
-        if x < lo || x > hi { T::ZERO } else { g }
-    });
+    kernel::zip(grad_x, x, grad_y, |x, g| if x < lo || x > hi { T::ZERO } else { g });
 }
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -30,18 +28,9 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// **Panics** unless `lo <= hi`.
     #[track_caller]
     pub fn clamp(self, lo: f64, hi: f64) -> Var<'t, T> {
-        assert!(
-            lo <= hi,
-            "clamp: bounds {lo} and {hi} for shape {}; the rule: lo <= hi, neither NaN",
-            self.shape()
-        );
+        assert!(lo <= hi, "clamp: bounds {lo} and {hi} for shape {}; the rule: lo <= hi, neither NaN", self.shape());
         let (lo, hi) = (T::from_f64(lo), T::from_f64(hi));
-        unary::keep_input(
-            "clamp",
-            self,
-            |x, y| forward(x, lo, hi, y),
-            move |x, g, out| backward(x, lo, hi, g, out),
-        )
+        unary::keep_input("clamp", self, |x, y| forward(x, lo, hi, y), move |x, g, out| backward(x, lo, hi, g, out))
     }
 }
 
@@ -54,22 +43,13 @@ mod tests {
     #[test]
     fn values_and_slopes_are_known_also_at_the_bounds() {
         let x = [-2.0, -1.0, 0.25, 3.0, 3.5];
-        close(
-            &values(&x, |x| x.clamp(-1.0, 3.0)),
-            &[-1.0, -1.0, 0.25, 3.0, 3.0],
-        );
-        close(
-            &slopes(&x, |x| x.clamp(-1.0, 3.0)),
-            &[0.0, 1.0, 1.0, 1.0, 0.0],
-        );
+        close(&values(&x, |x| x.clamp(-1.0, 3.0)), &[-1.0, -1.0, 0.25, 3.0, 3.0]);
+        close(&slopes(&x, |x| x.clamp(-1.0, 3.0)), &[0.0, 1.0, 1.0, 1.0, 0.0]);
     }
 
     #[test]
     fn infinite_bound_is_no_bound() {
-        close(
-            &values(&[-2.0, 1e300], |x| x.clamp(0.0, f64::INFINITY)),
-            &[0.0, 1e300],
-        );
+        close(&values(&[-2.0, 1e300], |x| x.clamp(0.0, f64::INFINITY)), &[0.0, 1e300]);
     }
 
     #[test]

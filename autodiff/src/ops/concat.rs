@@ -15,14 +15,7 @@ fn forward<T: Scalar>(x: &[T], size: usize, y: &mut [T], shape: Shape, axis: usi
 }
 
 /// Writes the band of `grad_y` that begins at index `start` of `axis` into `grad_x`.
-fn backward<T: Scalar>(
-    grad_y: &[T],
-    shape: Shape,
-    axis: usize,
-    start: usize,
-    size: usize,
-    grad_x: &mut [T],
-) {
+fn backward<T: Scalar>(grad_y: &[T], shape: Shape, axis: usize, start: usize, size: usize, grad_x: &mut [T]) {
     let mut at = 0;
     for range in band(shape, axis, start, size) {
         let len = range.len();
@@ -34,19 +27,12 @@ fn backward<T: Scalar>(
 /// The shape of the result; all operands agree in every axis but `axis`.
 #[track_caller]
 fn joined(parts: &[Shape], axis: usize) -> Shape {
-    assert!(
-        !parts.is_empty(),
-        "concat: no operands; the rule: at least one"
-    );
+    assert!(!parts.is_empty(), "concat: no operands; the rule: at least one");
     let mut shape = parts[0];
     assert_axis("concat", axis, shape);
     for part in &parts[1..] {
         let agree = (0..4).all(|i| i == axis || part.0[i] == shape.0[i]);
-        assert!(
-            agree,
-            "concat along axis {axis}: {} and {part} differ elsewhere; the rule: equal in every other axis",
-            parts[0]
-        );
+        assert!(agree, "concat along axis {axis}: {} and {part} differ elsewhere; the rule: equal in every other axis", parts[0]);
         shape.0[axis] += part.0[axis];
     }
     shape
@@ -70,20 +56,15 @@ impl<'t, T: Scalar> Var<'t, T> {
             forward(x.value().data(), size, &mut y, shape, axis, start);
             start += size;
         }
-        tape.push(
-            "concat",
-            tape.tensor(shape, y),
-            parts,
-            move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-                let mut start = 0;
-                for (parent, &size) in sizes.iter().enumerate() {
-                    if let Some(mut slot) = grads.slot(parent) {
-                        slot.write(|out| backward(g.data(), shape, axis, start, size, out));
-                    }
-                    start += size;
+        tape.push("concat", tape.tensor(shape, y), parts, move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+            let mut start = 0;
+            for (parent, &size) in sizes.iter().enumerate() {
+                if let Some(mut slot) = grads.slot(parent) {
+                    slot.write(|out| backward(g.data(), shape, axis, start, size, out));
                 }
-            },
-        )
+                start += size;
+            }
+        })
     }
 }
 
@@ -97,10 +78,7 @@ mod tests {
     #[test]
     fn values_and_gradient_are_known() {
         let tape = Tape::new();
-        let a = tape.leaf(Tensor::from_vec(
-            Shape::new(2, 1, 1, 2),
-            vec![1.0, 2.0, 3.0, 4.0],
-        ));
+        let a = tape.leaf(Tensor::from_vec(Shape::new(2, 1, 1, 2), vec![1.0, 2.0, 3.0, 4.0]));
         let b = tape.leaf(Tensor::from_vec(Shape::new(2, 1, 1, 1), vec![5.0, 6.0]));
         let y = Var::concat(&[a, b], 3);
         assert_eq!(y.shape(), Shape::new(2, 1, 1, 3));
@@ -116,18 +94,11 @@ mod tests {
         let tape = Tape::new();
         let x = tape.leaf(Tensor::scalar(4.0));
         let weights = tape.constant(Tensor::from_vec(Shape::new(1, 2, 1, 1), vec![3.0, 5.0]));
-        close(
-            tape.backward(Var::concat(&[x, x], 1).mul(weights).sum())
-                .wrt(x)
-                .data(),
-            &[8.0],
-        );
+        close(tape.backward(Var::concat(&[x, x], 1).mul(weights).sum()).wrt(x).data(), &[8.0]);
     }
 
     #[test]
-    #[should_panic(
-        expected = "concat along axis 1: [1, 2, 3, 4] and [1, 2, 4, 3] differ elsewhere"
-    )]
+    #[should_panic(expected = "concat along axis 1: [1, 2, 3, 4] and [1, 2, 4, 3] differ elsewhere")]
     fn different_planes_are_refused() {
         let tape = Tape::<f64>::new();
         let a = tape.leaf(Tensor::zeros(Shape::new(1, 2, 3, 4)));

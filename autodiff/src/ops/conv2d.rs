@@ -202,8 +202,7 @@ fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], pool: &
     let phases: Vec<_> = (0..l.phases.len())
         .map(|phase| {
             let taps: Vec<usize> = (0..l.taps).filter(|&t| l.tap_at[t].0 == phase).collect();
-            let offsets: Vec<usize> =
-                taps.iter().map(|&t| (up - l.tap_at[t].1) * pitch + (left - l.tap_at[t].2)).collect();
+            let offsets: Vec<usize> = taps.iter().map(|&t| (up - l.tap_at[t].1) * pitch + (left - l.tap_at[t].2)).collect();
             let weights: Vec<_> = (0..l.groups)
                 .map(|group| {
                     let at = |c, o, t: usize| ((group * l.cout + o) * l.cin + c) * l.taps + taps[t];
@@ -285,8 +284,7 @@ fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], pool: 
     };
     let sums = par::map_indices(l.groups * per_group, |unit| {
         let (group, o, c, outputs, channels) = span(unit);
-        let pairs: Vec<usize> =
-            (c..c + channels).flat_map(|c| offsets.iter().map(move |t| c * l.channel_len() + t)).collect();
+        let pairs: Vec<usize> = (c..c + channels).flat_map(|c| offsets.iter().map(move |t| c * l.channel_len() + t)).collect();
         T::run_weight_grad(WeightGrad {
             g: &flat[group * l.cout * pitch..],
             g_image: l.output.c() * pitch,
@@ -315,9 +313,7 @@ fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], pool: 
 
 fn backward_bias<T: Scalar>(g: &Tensor<T>, db: &mut [T]) {
     let shape = g.shape();
-    let sums = par::map_indices(shape.c(), |c| {
-        (0..shape.n()).map(|n| plane_sum(g.plane(n, c))).sum::<f64>()
-    });
+    let sums = par::map_indices(shape.c(), |c| (0..shape.n()).map(|n| plane_sum(g.plane(n, c))).sum::<f64>());
     for (d, s) in db.iter_mut().zip(sums) {
         *d += T::from_f64(s);
     }
@@ -417,8 +413,7 @@ mod tests {
             let x = random(1 + i as u64, xs, -1.0, 1.0);
             let w = random(50 + i as u64, ws, -1.0, 1.0);
             let b = random(90, Shape::new(1, ws.n(), 1, 1), -1.0, 1.0);
-            let report =
-                gradcheck(&[x, w, b], |_, v| weighted_sum(v[0].conv2d(v[1], Some(v[2]), conv), 3), GradCheck::default());
+            let report = gradcheck(&[x, w, b], |_, v| weighted_sum(v[0].conv2d(v[1], Some(v[2]), conv), 3), GradCheck::default());
             assert!(report.is_ok(), "case {i}: {report}");
         }
     }

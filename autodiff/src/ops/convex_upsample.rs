@@ -37,10 +37,7 @@ impl Sizes {
     fn framed<T: Scalar>(self, plane: &[T]) -> Vec<T> {
         let factor = T::from_f64(self.factor as f64);
         let mut out = vec![T::ZERO; (self.height + 2) * (self.width + 2)];
-        for (row, to) in plane
-            .chunks_exact(self.width)
-            .zip(out[self.width + 2..].chunks_exact_mut(self.width + 2))
-        {
+        for (row, to) in plane.chunks_exact(self.width).zip(out[self.width + 2..].chunks_exact_mut(self.width + 2)) {
             for (o, &v) in to[1..].iter_mut().zip(row) {
                 *o = v * factor;
             }
@@ -78,9 +75,7 @@ impl Sizes {
         for ((a, b), i) in self.positions() {
             sum.fill(T::ZERO);
             for k in 0..9 {
-                let pairs = weights[self.row(k, (a, b), i)]
-                    .iter()
-                    .zip(&framed[self.neighbours(k, i)]);
+                let pairs = weights[self.row(k, (a, b), i)].iter().zip(&framed[self.neighbours(k, i)]);
                 for (o, (&m, &v)) in sum.iter_mut().zip(pairs) {
                     *o += m * v;
                 }
@@ -105,10 +100,7 @@ impl Sizes {
             }
         }
         let factor = T::from_f64(self.factor as f64);
-        for (row, from) in gx
-            .chunks_exact_mut(self.width)
-            .zip(framed[self.width + 2..].chunks_exact(self.width + 2))
-        {
+        for (row, from) in gx.chunks_exact_mut(self.width).zip(framed[self.width + 2..].chunks_exact(self.width + 2)) {
             for (o, &v) in row.iter_mut().zip(&from[1..]) {
                 *o = v * factor;
             }
@@ -137,10 +129,7 @@ impl Sizes {
             mean.fill(T::ZERO);
             for k in 0..9 {
                 let row = self.row(k, sub, i);
-                for (o, (&m, &e)) in mean
-                    .iter_mut()
-                    .zip(weights[row.clone()].iter().zip(&out[row]))
-                {
+                for (o, (&m, &e)) in mean.iter_mut().zip(weights[row.clone()].iter().zip(&out[row])) {
                     *o += m * e;
                 }
             }
@@ -193,11 +182,7 @@ impl<'t, T: Scalar> Var<'t, T> {
             "convex_upsample: field {shape}, factor {factor}: needs logits of shape {expected}, got {}",
             logits.shape()
         );
-        let sizes = Sizes {
-            height: shape.h(),
-            width: shape.w(),
-            factor,
-        };
+        let sizes = Sizes { height: shape.h(), width: shape.w(), factor };
         let out_shape: Shape = shape.with_plane(shape.h() * factor, shape.w() * factor);
         let (plane, out_plane, sample) = (shape.plane(), out_shape.plane(), 9 * sizes.stride());
         let (x, channels) = (self.value(), shape.c());
@@ -211,30 +196,25 @@ impl<'t, T: Scalar> Var<'t, T> {
             sizes.forward_plane(&x.data()[i * plane..][..plane], weights, out);
         });
         let y = self.tape().tensor(out_shape, y);
-        self.tape()
-            .push("convex_upsample", y, &[self, logits], move |g, grads| {
-                let weights = |n: usize| &weights.data()[n * sample..][..sample];
-                if let Some(mut slot) = grads.slot(0) {
-                    slot.write(|gx| {
-                        for_each_plane(gx, plane, |i, out| {
-                            sizes.backward_plane(
-                                &g.data()[i * out_plane..][..out_plane],
-                                weights(i / channels),
-                                out,
-                            );
-                        });
+        self.tape().push("convex_upsample", y, &[self, logits], move |g, grads| {
+            let weights = |n: usize| &weights.data()[n * sample..][..sample];
+            if let Some(mut slot) = grads.slot(0) {
+                slot.write(|gx| {
+                    for_each_plane(gx, plane, |i, out| {
+                        sizes.backward_plane(&g.data()[i * out_plane..][..out_plane], weights(i / channels), out);
                     });
-                }
-                if let Some(mut slot) = grads.slot(1) {
-                    slot.write(|gx| {
-                        par::for_each_chunk(gx, sample, |n, out| {
-                            let g = &g.data()[n * channels * out_plane..][..channels * out_plane];
-                            let x = &x.data()[n * channels * plane..][..channels * plane];
-                            sizes.backward_logits(g, x, weights(n), out);
-                        });
+                });
+            }
+            if let Some(mut slot) = grads.slot(1) {
+                slot.write(|gx| {
+                    par::for_each_chunk(gx, sample, |n, out| {
+                        let g = &g.data()[n * channels * out_plane..][..channels * out_plane];
+                        let x = &x.data()[n * channels * plane..][..channels * plane];
+                        sizes.backward_logits(g, x, weights(n), out);
                     });
-                }
-            })
+                });
+            }
+        })
     }
 }
 
@@ -247,24 +227,14 @@ mod tests {
     /// Logits that give neighbour `k` all the weight.
     fn only(k: usize, factor: usize, h: usize, w: usize) -> Tensor<f64> {
         let shape = Shape::new(1, 9 * factor * factor, h, w);
-        Tensor::from_fn(shape, |_, c, _, _| {
-            if c / (factor * factor) == k {
-                1000.0
-            } else {
-                0.0
-            }
-        })
+        Tensor::from_fn(shape, |_, c, _, _| if c / (factor * factor) == k { 1000.0 } else { 0.0 })
     }
 
     #[test]
     fn a_single_neighbour_is_a_shifted_nearest_enlargement() {
         let tape = Tape::new();
         let x = Tensor::from_vec(Shape::new(1, 1, 2, 2), vec![1.0, 2.0, 3.0, 4.0]);
-        let at = |k| {
-            tape.constant(x.clone())
-                .convex_upsample(tape.constant(only(k, 2, 2, 2)), 2)
-                .value()
-        };
+        let at = |k| tape.constant(x.clone()).convex_upsample(tape.constant(only(k, 2, 2, 2)), 2).value();
         let (top, bottom) = ([2.0, 2.0, 4.0, 4.0], [6.0, 6.0, 8.0, 8.0]);
         close(at(4).data(), &[top, top, bottom, bottom].concat());
         // Neighbour 5 is the one to the right, 1 the one above; outside is zero.
@@ -278,14 +248,8 @@ mod tests {
     fn equal_logits_average_the_nine() {
         let tape = Tape::new();
         let x = noise(1, [2, 2, 3, 4]);
-        let y = tape
-            .constant(x.clone())
-            .convex_upsample(tape.constant(Tensor::full(Shape::new(2, 36, 3, 4), 0.7)), 2);
-        let expected = tape
-            .constant(x)
-            .avg_pool2d(3, 1, 1)
-            .scale(2.0)
-            .upsample_nearest(2);
+        let y = tape.constant(x.clone()).convex_upsample(tape.constant(Tensor::full(Shape::new(2, 36, 3, 4), 0.7)), 2);
+        let expected = tape.constant(x).avg_pool2d(3, 1, 1).scale(2.0).upsample_nearest(2);
         close(y.value().data(), expected.value().data());
     }
 
@@ -299,10 +263,7 @@ mod tests {
             let k = if c % 4 == 2 { 3 } else { 4 };
             if c / 4 == k { 1000.0 } else { 0.0 }
         });
-        let y = tape
-            .constant(x)
-            .convex_upsample(tape.constant(logits), 2)
-            .value();
+        let y = tape.constant(x).convex_upsample(tape.constant(logits), 2).value();
         close(y.data(), &[2.0, 2.0, 20.0, 20.0, 0.0, 2.0, 2.0, 20.0]);
     }
 
@@ -310,27 +271,20 @@ mod tests {
     fn gradient_matches_finite_differences() {
         for ([n, c, h, w], factor) in [([2, 2, 2, 3], 2), ([1, 1, 1, 2], 3), ([1, 3, 3, 1], 1)] {
             let logits = noise(3, [n, 9 * factor * factor, h, w]);
-            check(&[noise(2, [n, c, h, w]), logits], |v| {
-                v[0].convex_upsample(v[1], factor)
-            });
+            check(&[noise(2, [n, c, h, w]), logits], |v| v[0].convex_upsample(v[1], factor));
         }
     }
 
     #[test]
     fn linear_in_the_field() {
         let logits = noise(5, [2, 81, 3, 4]);
-        check_adjoint(Shape::new(2, 2, 3, 4), 6, |x| {
-            x.convex_upsample(x.tape().constant(logits.clone()), 3)
-        });
+        check_adjoint(Shape::new(2, 2, 3, 4), 6, |x| x.convex_upsample(x.tape().constant(logits.clone()), 3));
     }
 
     #[test]
-    #[should_panic(
-        expected = "convex_upsample: field [1, 2, 3, 3], factor 2: needs logits of shape [1, 36, 3, 3]"
-    )]
+    #[should_panic(expected = "convex_upsample: field [1, 2, 3, 3], factor 2: needs logits of shape [1, 36, 3, 3]")]
     fn rejects_logits_of_another_factor() {
         let tape = Tape::new();
-        tape.constant(noise(1, [1, 2, 3, 3]))
-            .convex_upsample(tape.constant(noise(1, [1, 9, 3, 3])), 2);
+        tape.constant(noise(1, [1, 2, 3, 3])).convex_upsample(tape.constant(noise(1, [1, 9, 3, 3])), 2);
     }
 }

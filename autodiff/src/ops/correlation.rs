@@ -11,13 +11,7 @@ use crate::{Scalar, Shape, Tensor, Var, par};
 const ROWS: usize = 128;
 
 /// Copies the columns `start..start + count` of a row-major matrix with `cols` columns, transposed and scaled.
-fn scaled_columns<T: Scalar>(
-    matrix: &[T],
-    cols: usize,
-    start: usize,
-    count: usize,
-    scale: T,
-) -> Vec<T> {
+fn scaled_columns<T: Scalar>(matrix: &[T], cols: usize, start: usize, count: usize, scale: T) -> Vec<T> {
     let rows = matrix.len() / cols;
     let mut out = vec![T::ZERO; rows * count];
     for (c, row) in matrix.chunks_exact(cols).enumerate() {
@@ -46,35 +40,21 @@ impl Sizes {
         let blocks: Vec<(usize, usize, &mut [T])> = volume
             .chunks_mut(self.p * self.q)
             .enumerate()
-            .flat_map(|(n, sample)| {
-                sample
-                    .chunks_mut(ROWS * self.q)
-                    .enumerate()
-                    .map(move |(b, out)| (n, b, out))
-            })
+            .flat_map(|(n, sample)| sample.chunks_mut(ROWS * self.q).enumerate().map(move |(b, out)| (n, b, out)))
             .collect();
         par::for_each_item(blocks, |_, (n, block, out)| {
             let count = out.len() / self.q;
             let first = &first[n * self.c * self.p..][..self.c * self.p];
             let rows = scaled_columns(first, self.p, block * ROWS, count, self.scale());
-            let second = View::new(
-                &second[n * self.c * self.q..][..self.c * self.q],
-                self.c,
-                self.q,
-            );
+            let second = View::new(&second[n * self.c * self.q..][..self.c * self.q], self.c, self.q);
             T::gemm(out, View::new(&rows, count, self.c), second, false);
         });
     }
 
     fn backward_first<T: Scalar>(self, g: &[T], second: &[T], gradient: &mut [T]) {
         par::for_each_chunk(gradient, self.c * self.p, |n, out| {
-            let second = View::new(
-                &second[n * self.c * self.q..][..self.c * self.q],
-                self.c,
-                self.q,
-            );
-            let g =
-                View::transpose_of(&g[n * self.p * self.q..][..self.p * self.q], self.q, self.p);
+            let second = View::new(&second[n * self.c * self.q..][..self.c * self.q], self.c, self.q);
+            let g = View::transpose_of(&g[n * self.p * self.q..][..self.p * self.q], self.q, self.p);
             T::gemm(out, second, g, false);
             let scale = self.scale();
             out.iter_mut().for_each(|v| *v *= scale);
@@ -83,11 +63,7 @@ impl Sizes {
 
     fn backward_second<T: Scalar>(self, g: &[T], first: &[T], gradient: &mut [T]) {
         par::for_each_chunk(gradient, self.c * self.q, |n, out| {
-            let first = View::new(
-                &first[n * self.c * self.p..][..self.c * self.p],
-                self.c,
-                self.p,
-            );
+            let first = View::new(&first[n * self.c * self.p..][..self.c * self.p], self.c, self.p);
             let g = View::new(&g[n * self.p * self.q..][..self.p * self.q], self.p, self.q);
             T::gemm(out, first, g, false);
             let scale = self.scale();
@@ -110,11 +86,7 @@ impl<'t, T: Scalar> Var<'t, T> {
             s1.n() == s2.n() && s1.c() == s2.c() && !s1.is_empty() && !s2.is_empty(),
             "correlation: needs [n, c, h, w] and [n, c, h2, w2], not empty, got {s1} and {s2}"
         );
-        let sizes = Sizes {
-            c: s1.c(),
-            p: s1.plane(),
-            q: s2.plane(),
-        };
+        let sizes = Sizes { c: s1.c(), p: s1.plane(), q: s2.plane() };
         let (first, second) = (self.value(), other.value());
         let shape = Shape::new(s1.n() * s1.plane(), 1, s2.h(), s2.w());
         let mut volume = self.tape().scratch(shape.len());
@@ -122,15 +94,14 @@ impl<'t, T: Scalar> Var<'t, T> {
         let volume = self.tape().tensor(shape, volume);
         let first: Option<Tensor<T>> = other.requires_grad().then_some(first);
         let second: Option<Tensor<T>> = self.requires_grad().then_some(second);
-        self.tape()
-            .push("correlation", volume, &[self, other], move |g, grads| {
-                if let (Some(mut slot), Some(second)) = (grads.slot(0), &second) {
-                    slot.write(|out| sizes.backward_first(g.data(), second.data(), out));
-                }
-                if let (Some(mut slot), Some(first)) = (grads.slot(1), &first) {
-                    slot.write(|out| sizes.backward_second(g.data(), first.data(), out));
-                }
-            })
+        self.tape().push("correlation", volume, &[self, other], move |g, grads| {
+            if let (Some(mut slot), Some(second)) = (grads.slot(0), &second) {
+                slot.write(|out| sizes.backward_first(g.data(), second.data(), out));
+            }
+            if let (Some(mut slot), Some(first)) = (grads.slot(1), &first) {
+                slot.write(|out| sizes.backward_second(g.data(), first.data(), out));
+            }
+        })
     }
 }
 
@@ -143,20 +114,14 @@ mod tests {
     #[test]
     fn worked_numbers_over_four_channels() {
         let tape = Tape::new();
-        let first = tape.leaf(tensor(
-            [1, 4, 1, 2],
-            &[1.0, 2.0, 0.0, 1.0, 3.0, 0.0, 1.0, 1.0],
-        ));
+        let first = tape.leaf(tensor([1, 4, 1, 2], &[1.0, 2.0, 0.0, 1.0, 3.0, 0.0, 1.0, 1.0]));
         let second = tape.leaf(tensor([1, 4, 1, 1], &[2.0, 4.0, 6.0, 8.0]));
         // Pixel 0 is (1, 0, 3, 1), pixel 1 is (2, 1, 0, 1); products 28 and 16, over sqrt(4).
         let volume = first.correlation(second);
         assert_eq!(volume.shape(), Shape::new(2, 1, 1, 1));
         close(volume.value().data(), &[14.0, 8.0]);
         let grads = tape.backward(volume.sum());
-        close(
-            grads.wrt(first).data(),
-            &[1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0],
-        );
+        close(grads.wrt(first).data(), &[1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0]);
         close(grads.wrt(second).data(), &[1.5, 0.5, 1.5, 1.0]);
     }
 
@@ -164,32 +129,17 @@ mod tests {
     fn planes_are_ordered_by_sample_then_row_then_column() {
         let tape = Tape::new();
         let (a, b) = (noise(1, [2, 3, 11, 13]), noise(2, [2, 3, 4, 5]));
-        let volume = tape
-            .constant(a.clone())
-            .correlation(tape.constant(b.clone()))
-            .value();
+        let volume = tape.constant(a.clone()).correlation(tape.constant(b.clone())).value();
         assert_eq!(volume.shape(), Shape::new(2 * 11 * 13, 1, 4, 5));
-        for (n, y, x, i, j) in [
-            (0, 0, 0, 0, 0),
-            (0, 10, 12, 3, 4),
-            (1, 9, 11, 2, 1),
-            (1, 3, 0, 0, 4),
-        ] {
+        for (n, y, x, i, j) in [(0, 0, 0, 0, 0), (0, 10, 12, 3, 4), (1, 9, 11, 2, 1), (1, 3, 0, 0, 4)] {
             let expected: f64 = (0..3).map(|c| a.at(n, c, y, x) * b.at(n, c, i, j)).sum();
-            close(
-                &[volume.at(n * 143 + y * 13 + x, 0, i, j)],
-                &[expected / 3.0_f64.sqrt()],
-            );
+            close(&[volume.at(n * 143 + y * 13 + x, 0, i, j)], &[expected / 3.0_f64.sqrt()]);
         }
     }
 
     #[test]
     fn gradient_matches_finite_differences() {
-        for (sizes, (h, w)) in [
-            ([2, 3, 2, 3], (3, 2)),
-            ([1, 1, 1, 4], (2, 1)),
-            ([1, 5, 1, 1], (1, 1)),
-        ] {
+        for (sizes, (h, w)) in [([2, 3, 2, 3], (3, 2)), ([1, 1, 1, 4], (2, 1)), ([1, 5, 1, 1], (1, 1))] {
             let other = noise(4, [sizes[0], sizes[1], h, w]);
             check(&[noise(3, sizes), other], |v| v[0].correlation(v[1]));
         }
@@ -198,21 +148,14 @@ mod tests {
     #[test]
     fn linear_in_each_map() {
         let other = noise(5, [2, 3, 4, 3]);
-        check_adjoint(Shape::new(2, 3, 5, 2), 6, |x| {
-            x.correlation(x.tape().constant(other.clone()))
-        });
-        check_adjoint(Shape::new(2, 3, 5, 2), 7, |x| {
-            x.tape().constant(other.clone()).correlation(x)
-        });
+        check_adjoint(Shape::new(2, 3, 5, 2), 6, |x| x.correlation(x.tape().constant(other.clone())));
+        check_adjoint(Shape::new(2, 3, 5, 2), 7, |x| x.tape().constant(other.clone()).correlation(x));
     }
 
     #[test]
-    #[should_panic(
-        expected = "correlation: needs [n, c, h, w] and [n, c, h2, w2], not empty, got [1, 2, 3, 3] and [1, 4, 3, 3]"
-    )]
+    #[should_panic(expected = "correlation: needs [n, c, h, w] and [n, c, h2, w2], not empty, got [1, 2, 3, 3] and [1, 4, 3, 3]")]
     fn rejects_different_channels() {
         let tape = Tape::new();
-        tape.constant(noise(1, [1, 2, 3, 3]))
-            .correlation(tape.constant(noise(1, [1, 4, 3, 3])));
+        tape.constant(noise(1, [1, 2, 3, 3])).correlation(tape.constant(noise(1, [1, 4, 3, 3])));
     }
 }

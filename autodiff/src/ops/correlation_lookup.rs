@@ -48,11 +48,7 @@ fn backward_block<T: Scalar>(level: Level, g: &[T], coords: &[T], first: usize, 
             values[k * window + channel] = g;
         }
     }
-    for (k, (plane, values)) in planes
-        .chunks_exact_mut(plane)
-        .zip(values.chunks_exact(window))
-        .enumerate()
-    {
+    for (k, (plane, values)) in planes.chunks_exact_mut(plane).zip(values.chunks_exact(window)).enumerate() {
         let p = first + k;
         let corner = Corner::new(coords[p], coords[pixels + p], level.level, level.radius);
         if !corner.is_nan() {
@@ -72,11 +68,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// **Domain**: zero outside the planes; NaN coordinates give NaN.
     /// **Panics** when the pyramid is empty, a level has not one plane for each pixel, or `coords` has not two channels.
     #[track_caller]
-    pub fn correlation_lookup(
-        pyramid: &[Var<'t, T>],
-        coords: Var<'t, T>,
-        radius: usize,
-    ) -> Var<'t, T> {
+    pub fn correlation_lookup(pyramid: &[Var<'t, T>], coords: Var<'t, T>, radius: usize) -> Var<'t, T> {
         let at = coords.shape();
         let shapes: Vec<Shape> = pyramid.iter().map(|v| v.shape()).collect();
         assert!(
@@ -90,16 +82,8 @@ impl<'t, T: Scalar> Var<'t, T> {
                 "correlation_lookup: level {l} of shape {shape} at coordinates {at}: needs [n h w, 1, h_l, w_l], not empty"
             );
         }
-        let levels: Vec<Level> = shapes
-            .iter()
-            .enumerate()
-            .map(|(level, s)| Level {
-                height: s.h(),
-                width: s.w(),
-                level,
-                radius,
-            })
-            .collect();
+        let levels: Vec<Level> =
+            shapes.iter().enumerate().map(|(level, s)| Level { height: s.h(), width: s.w(), level, radius }).collect();
         let (pixels, window) = (at.plane(), (2 * radius + 1) * (2 * radius + 1));
         let points = coords.value();
         let volumes: Vec<_> = pyramid.iter().map(|v| v.value()).collect();
@@ -109,28 +93,20 @@ impl<'t, T: Scalar> Var<'t, T> {
             let (n, l) = (i / levels.len(), i % levels.len());
             let plane = levels[l].plane();
             let volume = &volumes[l].data()[n * pixels * plane..][..pixels * plane];
-            forward_level(
-                levels[l],
-                volume,
-                &points.data()[2 * n * pixels..][..2 * pixels],
-                out,
-            );
+            forward_level(levels[l], volume, &points.data()[2 * n * pixels..][..2 * pixels], out);
         });
         let y = coords.tape().tensor(shape, y);
-        coords
-            .tape()
-            .push("correlation_lookup", y, pyramid, move |g, grads| {
-                for (l, &level) in levels.iter().enumerate() {
-                    let Some(mut slot) = grads.slot(l) else {
-                        continue;
-                    };
-                    backward_level(level, slot.as_mut_slice(), pixels, |n| {
-                        let g = &g.data()[(n * levels.len() + l) * window * pixels..]
-                            [..window * pixels];
-                        (g, &points.data()[2 * n * pixels..][..2 * pixels])
-                    });
-                }
-            })
+        coords.tape().push("correlation_lookup", y, pyramid, move |g, grads| {
+            for (l, &level) in levels.iter().enumerate() {
+                let Some(mut slot) = grads.slot(l) else {
+                    continue;
+                };
+                backward_level(level, slot.as_mut_slice(), pixels, |n| {
+                    let g = &g.data()[(n * levels.len() + l) * window * pixels..][..window * pixels];
+                    (g, &points.data()[2 * n * pixels..][..2 * pixels])
+                });
+            }
+        })
     }
 }
 
@@ -145,12 +121,7 @@ fn backward_level<'a, T: Scalar>(
     let blocks: Vec<(usize, usize, &mut [T])> = gradient
         .chunks_mut((pixels * plane).max(1))
         .enumerate()
-        .flat_map(|(n, sample)| {
-            sample
-                .chunks_mut(4 * BLOCK * plane)
-                .enumerate()
-                .map(move |(b, out)| (n, b, out))
-        })
+        .flat_map(|(n, sample)| sample.chunks_mut(4 * BLOCK * plane).enumerate().map(move |(b, out)| (n, b, out)))
         .collect();
     par::for_each_item(blocks, |_, (n, block, planes)| {
         let (g, coords) = operands(n);
@@ -169,11 +140,7 @@ mod tests {
     fn cell(volume: &Tensor<f64>, p: usize, x: f64, y: f64) -> f64 {
         let shape = volume.shape();
         let inside = x >= 0.0 && y >= 0.0 && x < shape.w() as f64 && y < shape.h() as f64;
-        if inside {
-            volume.at(p, 0, y as usize, x as usize)
-        } else {
-            0.0
-        }
+        if inside { volume.at(p, 0, y as usize, x as usize) } else { 0.0 }
     }
 
     /// The lookup written out element by element.
@@ -187,10 +154,7 @@ mod tests {
             let y = coords.at(n, 1, h, w) / f64::powi(2.0, l as i32) + offset(j);
             let p = n * at.plane() + h * at.w() + w;
             let (x0, y0) = (x.floor(), y.floor());
-            let row = |y: f64| {
-                (1.0 - (x - x0)) * cell(&pyramid[l], p, x0, y)
-                    + (x - x0) * cell(&pyramid[l], p, x0 + 1.0, y)
-            };
+            let row = |y: f64| (1.0 - (x - x0)) * cell(&pyramid[l], p, x0, y) + (x - x0) * cell(&pyramid[l], p, x0 + 1.0, y);
             (1.0 - (y - y0)) * row(y0) + (y - y0) * row(y0 + 1.0)
         };
         Tensor::from_fn(shape, value).to_vec()
@@ -204,10 +168,7 @@ mod tests {
         let coords = tape.constant(tensor([1, 2, 1, 1], &[2.0, 1.0]));
         // Centre 7; x - 1 comes first, with y running fastest: 1 6 11 | 2 7 12 | 3 8 13.
         let y = Var::correlation_lookup(&[volume], coords, 1);
-        close(
-            y.value().data(),
-            &[1.0, 6.0, 11.0, 2.0, 7.0, 12.0, 3.0, 8.0, 13.0],
-        );
+        close(y.value().data(), &[1.0, 6.0, 11.0, 2.0, 7.0, 12.0, 3.0, 8.0, 13.0]);
     }
 
     #[test]
@@ -217,10 +178,7 @@ mod tests {
         let coords = tape.constant(tensor([1, 2, 1, 1], &[-0.5, 0.25]));
         let y = Var::correlation_lookup(&[volume], coords, 1);
         // x at -1.5, -0.5, 0.5 gives 0, 2, 6; y at -0.75, 0.25, 1.25 keeps 0.25, 0.75, 0 of it.
-        close(
-            y.value().data(),
-            &[0.0, 0.0, 0.0, 0.5, 1.5, 0.0, 1.5, 4.5, 0.0],
-        );
+        close(y.value().data(), &[0.0, 0.0, 0.0, 0.5, 1.5, 0.0, 1.5, 4.5, 0.0]);
         close(tape.backward(y.sum()).wrt(volume).data(), &[1.0, 0.5]);
     }
 
@@ -229,10 +187,7 @@ mod tests {
         let (n, h, w, radius) = (2, 5, 7, 2);
         let tape = Tape::new();
         let sizes = [(5, 7), (2, 3), (1, 1)];
-        let pyramid: Vec<_> = sizes
-            .iter()
-            .map(|&(a, b)| noise(a as u64, [n * h * w, 1, a, b]))
-            .collect();
+        let pyramid: Vec<_> = sizes.iter().map(|&(a, b)| noise(a as u64, [n * h * w, 1, a, b])).collect();
         let coords = random(4, Shape::new(n, 2, h, w), -6.0, 12.0);
         let vars: Vec<_> = pyramid.iter().map(|v| tape.constant(v.clone())).collect();
         let y = Var::correlation_lookup(&vars, tape.constant(coords.clone()), radius);
@@ -243,9 +198,7 @@ mod tests {
     fn gradient_reaches_every_level() {
         let coords = random(4, Shape::new(2, 2, 1, 2), -1.0, 4.0);
         let inputs = [noise(1, [4, 1, 3, 4]), noise(2, [4, 1, 1, 2])];
-        check(&inputs, |v| {
-            Var::correlation_lookup(v, v[0].tape().constant(coords.clone()), 1).square()
-        });
+        check(&inputs, |v| Var::correlation_lookup(v, v[0].tape().constant(coords.clone()), 1).square());
     }
 
     #[test]
@@ -254,16 +207,8 @@ mod tests {
         let volume = tape.leaf(noise(1, [72, 1, 6, 5]));
         let y = Var::correlation_lookup(&[volume], tape.constant(coords), 3);
         let g = noise(2, y.shape().0);
-        let pulled = tape
-            .backward(y.mul(tape.constant(g.clone())).sum())
-            .wrt(volume);
-        let dot = |a: &Tensor<f64>, b: &Tensor<f64>| {
-            a.data()
-                .iter()
-                .zip(b.data())
-                .map(|(a, b)| a * b)
-                .sum::<f64>()
-        };
+        let pulled = tape.backward(y.mul(tape.constant(g.clone())).sum()).wrt(volume);
+        let dot = |a: &Tensor<f64>, b: &Tensor<f64>| a.data().iter().zip(b.data()).map(|(a, b)| a * b).sum::<f64>();
         close(&[dot(&pulled, &volume.value())], &[dot(&y.value(), &g)]);
     }
 
@@ -271,29 +216,18 @@ mod tests {
     fn coordinates_get_no_gradient_and_bad_ones_do_no_harm() {
         let tape = Tape::new();
         let volume = tape.leaf(noise(1, [3, 1, 2, 2]));
-        let coords = tape.leaf(tensor(
-            [1, 2, 1, 3],
-            &[f64::NAN, f64::INFINITY, -1e300, 0.0, 0.0, 1.0],
-        ));
+        let coords = tape.leaf(tensor([1, 2, 1, 3], &[f64::NAN, f64::INFINITY, -1e300, 0.0, 0.0, 1.0]));
         let y = Var::correlation_lookup(&[volume], coords, 1);
-        assert!(
-            (0..9).all(|c| y.value().at(0, c, 0, 0).is_nan() && y.value().at(0, c, 0, 1) == 0.0)
-        );
+        assert!((0..9).all(|c| y.value().at(0, c, 0, 0).is_nan() && y.value().at(0, c, 0, 1) == 0.0));
         let grads = tape.backward(y.sum());
         assert!(grads.get(coords).is_none());
         close(grads.wrt(volume).data(), &[0.0; 12]);
     }
 
     #[test]
-    #[should_panic(
-        expected = "correlation_lookup: level 0 of shape [5, 1, 2, 2] at coordinates [1, 2, 2, 2]"
-    )]
+    #[should_panic(expected = "correlation_lookup: level 0 of shape [5, 1, 2, 2] at coordinates [1, 2, 2, 2]")]
     fn rejects_a_wrong_number_of_planes() {
         let tape = Tape::new();
-        Var::correlation_lookup(
-            &[tape.constant(noise(1, [5, 1, 2, 2]))],
-            tape.constant(noise(1, [1, 2, 2, 2])),
-            1,
-        );
+        Var::correlation_lookup(&[tape.constant(noise(1, [5, 1, 2, 2]))], tape.constant(noise(1, [1, 2, 2, 2])), 1);
     }
 }

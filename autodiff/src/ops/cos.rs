@@ -29,14 +29,8 @@ mod tests {
     #[test]
     fn values_and_slopes_are_known() {
         let pi = std::f64::consts::PI;
-        close(
-            &values(&[0.0, pi / 3.0, pi], |x| x.cos()),
-            &[1.0, 0.5, -1.0],
-        );
-        close(
-            &slopes(&[0.0, pi / 6.0, -pi / 2.0], |x| x.cos()),
-            &[0.0, -0.5, 1.0],
-        );
+        close(&values(&[0.0, pi / 3.0, pi], |x| x.cos()), &[1.0, 0.5, -1.0]);
+        close(&slopes(&[0.0, pi / 6.0, -pi / 2.0], |x| x.cos()), &[0.0, -0.5, 1.0]);
     }
 
     proptest! {

@@ -22,19 +22,13 @@ fn backward_a<T: Scalar>(b: &[T], eps: T, grad_y: &[T], grad_a: &mut [T]) {
 }
 
 fn backward_b<T: Scalar>(y: &[T], b: &[T], eps: T, grad_y: &[T], grad_b: &mut [T]) {
-    kernel::zip3(grad_b, y, b, grad_y, |y, b, g| {
-        if b.abs() < eps { T::ZERO } else { -(g * y / b) }
-    });
+    kernel::zip3(grad_b, y, b, grad_y, |y, b, g| if b.abs() < eps { T::ZERO } else { -(g * y / b) });
 }
 
 /// The denominator after the guard; with `eps` zero it is `b` itself.
 #[inline(always)]
 fn guarded<T: Scalar>(b: T, eps: T) -> T {
-    if b.abs() < eps {
-        if b < T::ZERO { -eps } else { eps }
-    } else {
-        b
-    }
+    if b.abs() < eps { if b < T::ZERO { -eps } else { eps } } else { b }
 }
 
 #[track_caller]
@@ -120,10 +114,7 @@ mod tests {
     #[test]
     fn guard_keeps_the_sign_and_bounds_the_value() {
         let (a, b) = ([1.0, 1.0, 1.0, 1.0], [0.0, -0.0, -0.01, 0.01]);
-        close(
-            &values2(&a, &b, |a, b| a.div_guarded(b, 0.1)),
-            &[10.0, 10.0, -10.0, 10.0],
-        );
+        close(&values2(&a, &b, |a, b| a.div_guarded(b, 0.1)), &[10.0, 10.0, -10.0, 10.0]);
         let (to_a, to_b) = slopes2(&a, &b, |a, b| a.div_guarded(b, 0.1));
         close(&to_a, &[10.0, 10.0, -10.0, 10.0]);
         close(&to_b, &[0.0; 4]);
@@ -132,14 +123,8 @@ mod tests {
     #[test]
     fn guard_is_idle_from_eps_on() {
         let (a, b) = ([1.0, 1.0], [0.5, -4.0]);
-        close(
-            &values2(&a, &b, |a, b| a.div_guarded(b, 0.5)),
-            &[2.0, -0.25],
-        );
-        close(
-            &slopes2(&a, &b, |a, b| a.div_guarded(b, 0.5)).1,
-            &[-4.0, -0.0625],
-        );
+        close(&values2(&a, &b, |a, b| a.div_guarded(b, 0.5)), &[2.0, -0.25]);
+        close(&slopes2(&a, &b, |a, b| a.div_guarded(b, 0.5)).1, &[-4.0, -0.0625]);
     }
 
     #[test]
@@ -154,13 +139,10 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(
-        expected = "div: operands must have equal shapes, got [1, 1, 1, 2] and [2, 1, 1, 1]"
-    )]
+    #[should_panic(expected = "div: operands must have equal shapes, got [1, 1, 1, 2] and [2, 1, 1, 1]")]
     fn different_shapes_are_refused() {
         let tape = Tape::new();
-        tape.leaf(row(&[1.0, 2.0]))
-            .div(tape.leaf(Tensor::zeros(Shape::new(2, 1, 1, 1))));
+        tape.leaf(row(&[1.0, 2.0])).div(tape.leaf(Tensor::zeros(Shape::new(2, 1, 1, 1))));
     }
 
     proptest! {

@@ -11,9 +11,7 @@ fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
 }
 
 fn backward<T: Scalar>(y: &[T], grad_y: &[T], grad_x: &mut [T]) {
-    kernel::zip(grad_x, y, grad_y, |y, g| {
-        if y > T::ZERO { g } else { g * (y + T::ONE) }
-    });
+    kernel::zip(grad_x, y, grad_y, |y, g| if y > T::ZERO { g } else { g * (y + T::ONE) });
 }
 
 impl<'t, T: Scalar> Var<'t, T> {

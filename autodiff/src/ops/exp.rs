@@ -29,14 +29,8 @@ mod tests {
     #[test]
     fn values_and_slopes_are_known() {
         let e = std::f64::consts::E;
-        close(
-            &values(&[0.0, 1.0, -2.0, 800.0], |x| x.exp()),
-            &[1.0, e, 1.0 / (e * e), f64::INFINITY],
-        );
-        close(
-            &slopes(&[0.0, 1.0, -2.0], |x| x.exp()),
-            &[1.0, e, 1.0 / (e * e)],
-        );
+        close(&values(&[0.0, 1.0, -2.0, 800.0], |x| x.exp()), &[1.0, e, 1.0 / (e * e), f64::INFINITY]);
+        close(&slopes(&[0.0, 1.0, -2.0], |x| x.exp()), &[1.0, e, 1.0 / (e * e)]);
     }
 
     proptest! {

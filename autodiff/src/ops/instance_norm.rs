@@ -23,10 +23,7 @@ pub(crate) fn moments<'a, T: Scalar>(planes: impl Iterator<Item = &'a [T]> + Clo
     }
     // What rounding the centre to T has added to the squares is taken off again.
     let rounding = mean - centre.to_f64();
-    (
-        mean,
-        (squares / count as f64 - rounding * rounding).max(0.0),
-    )
+    (mean, (squares / count as f64 - rounding * rounding).max(0.0))
 }
 
 /// `y = (x - mean) scale + shift`.
@@ -39,13 +36,7 @@ pub(crate) fn normalise<T: Scalar>(x: &[T], y: &mut [T], mean: T, scale: T, shif
 
 /// `gx = (g - offset - (x - mean) slope) scale`.
 #[inline(always)]
-pub(crate) fn denormalise<T: Scalar>(
-    g: &[T],
-    x: &[T],
-    gx: &mut [T],
-    mean: T,
-    [offset, slope, scale]: [T; 3],
-) {
+pub(crate) fn denormalise<T: Scalar>(g: &[T], x: &[T], gx: &mut [T], mean: T, [offset, slope, scale]: [T; 3]) {
     for ((o, &g), &x) in gx.iter_mut().zip(g).zip(x) {
         *o = (g - offset - (x - mean) * slope) * scale;
     }
@@ -69,19 +60,13 @@ impl<'t, T: Scalar> Var<'t, T> {
     #[track_caller]
     pub fn instance_norm(self, eps: f64) -> Var<'t, T> {
         let shape = self.shape();
-        assert!(
-            shape.plane() > 0,
-            "instance_norm: input {shape}: planes must not be empty"
-        );
+        assert!(shape.plane() > 0, "instance_norm: input {shape}: planes must not be empty");
         assert!(eps > 0.0, "instance_norm: eps {eps} must be positive");
         let plane = shape.plane();
         let x = self.value();
         let statistics: Vec<(T, T)> = par::map_indices(shape.planes(), |i| {
             let (mean, variance) = moments(std::iter::once(&x.data()[i * plane..][..plane]));
-            (
-                T::from_f64(mean),
-                T::from_f64(1.0 / (variance + eps).sqrt()),
-            )
+            (T::from_f64(mean), T::from_f64(1.0 / (variance + eps).sqrt()))
         });
         let mut y = self.tape().scratch(shape.len());
         for_each_plane(&mut y, plane, |i, out| {
@@ -89,24 +74,17 @@ impl<'t, T: Scalar> Var<'t, T> {
             normalise(&x.data()[i * plane..][..plane], out, mean, inverse, T::ZERO);
         });
         let y = self.tape().tensor(shape, y);
-        self.tape()
-            .push("instance_norm", y, &[self], move |g, grads| {
-                if let Some(mut slot) = grads.slot(0) {
-                    slot.write(|gx| {
-                        for_each_plane(gx, plane, |i, out| {
-                            let (mean, inverse) = statistics[i];
-                            let at = i * plane..(i + 1) * plane;
-                            backward_plane(
-                                &g.data()[at.clone()],
-                                &x.data()[at],
-                                out,
-                                mean,
-                                inverse,
-                            );
-                        });
+        self.tape().push("instance_norm", y, &[self], move |g, grads| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.write(|gx| {
+                    for_each_plane(gx, plane, |i, out| {
+                        let (mean, inverse) = statistics[i];
+                        let at = i * plane..(i + 1) * plane;
+                        backward_plane(&g.data()[at.clone()], &x.data()[at], out, mean, inverse);
                     });
-                }
-            })
+                });
+            }
+        })
     }
 }
 
@@ -121,23 +99,14 @@ mod tests {
     fn worked_numbers() {
         // Mean 3, variance (4 + 0 + 0 + 4)/4 = 2; with eps 2 the divisor is 2.
         let tape = Tape::new();
-        let x = tape.leaf(tensor(
-            [1, 2, 2, 2],
-            &[1.0, 3.0, 3.0, 5.0, 10.0, 30.0, 30.0, 50.0],
-        ));
+        let x = tape.leaf(tensor([1, 2, 2, 2], &[1.0, 3.0, 3.0, 5.0, 10.0, 30.0, 30.0, 50.0]));
         let y = x.instance_norm(2.0);
         close(&y.value().data()[..4], &[-1.0, 0.0, 0.0, 1.0]);
         let wide = 20.0 / 202.0_f64.sqrt();
         close(&y.value().data()[4..], &[-wide, 0.0, 0.0, wide]);
         // Gradient of the first output: g - mean g = (3, -1, -1, -1)/4, mean(g y) = -1/4; all over 2.
-        let first = y.mul(tape.constant(tensor(
-            [1, 2, 2, 2],
-            &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        )));
-        close(
-            &tape.backward(first.sum()).wrt(x).data()[..4],
-            &[0.25, -0.125, -0.125, 0.0],
-        );
+        let first = y.mul(tape.constant(tensor([1, 2, 2, 2], &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])));
+        close(&tape.backward(first.sum()).wrt(x).data()[..4], &[0.25, -0.125, -0.125, 0.0]);
     }
 
     #[test]
@@ -146,27 +115,17 @@ mod tests {
         let x: Tensor<f32> = random(2, Shape::new(3, 2, 37, 41), 100.0, 101.0);
         let y = tape.constant(x).instance_norm(1e-5).value();
         for i in 0..6 {
-            let plane: Vec<f64> = y
-                .plane(i / 2, i % 2)
-                .iter()
-                .map(|&v| f64::from(v))
-                .collect();
+            let plane: Vec<f64> = y.plane(i / 2, i % 2).iter().map(|&v| f64::from(v)).collect();
             let mean = plane.iter().sum::<f64>() / plane.len() as f64;
-            let variance =
-                plane.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / plane.len() as f64;
-            assert!(
-                mean.abs() < 1e-4 && (variance - 1.0).abs() < 1e-3,
-                "plane {i}: {mean} {variance}"
-            );
+            let variance = plane.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / plane.len() as f64;
+            assert!(mean.abs() < 1e-4 && (variance - 1.0).abs() < 1e-3, "plane {i}: {mean} {variance}");
         }
     }
 
     #[test]
     fn constant_planes_give_zeros() {
         let tape = Tape::new();
-        let y = tape
-            .constant(Tensor::full(Shape::new(1, 2, 3, 1), 4.0))
-            .instance_norm(1e-5);
+        let y = tape.constant(Tensor::full(Shape::new(1, 2, 3, 1), 4.0)).instance_norm(1e-5);
         close(y.value().data(), &[0.0; 6]);
     }
 

@@ -32,10 +32,7 @@ mod tests {
     #[test]
     fn values_and_slopes_are_known() {
         let e = std::f64::consts::E;
-        close(
-            &values(&[1.0, e, 0.5], |x| x.ln()),
-            &[0.0, 1.0, -std::f64::consts::LN_2],
-        );
+        close(&values(&[1.0, e, 0.5], |x| x.ln()), &[0.0, 1.0, -std::f64::consts::LN_2]);
         close(&slopes(&[1.0, e, 0.5], |x| x.ln()), &[1.0, 1.0 / e, 2.0]);
     }
 

@@ -20,18 +20,10 @@ impl<T: Scalar> Corner<T> {
             let low = at.floor();
             let part = if at.is_infinite() { 0.0 } else { at - low };
             // Far outside every plane is far enough: keeps the sums below from overflowing.
-            (
-                low.clamp(-1e9, 1e9) as isize - radius as isize,
-                T::from_f64(part),
-            )
+            (low.clamp(-1e9, 1e9) as isize - radius as isize, T::from_f64(part))
         };
         let ((x, part_x), (y, part_y)) = (axis(cx), axis(cy));
-        Self {
-            x,
-            y,
-            part_x,
-            part_y,
-        }
+        Self { x, y, part_x, part_y }
     }
 
     pub(crate) fn is_nan(&self) -> bool {
@@ -67,19 +59,10 @@ impl Level {
     }
 
     /// Samples the window of one plane into `out`, D^2 values with x slow; `patch` and `blended` are scratch.
-    pub(crate) fn sample<T: Scalar>(
-        &self,
-        plane: &[T],
-        corner: Corner<T>,
-        scratch: &mut Scratch<T>,
-        out: &mut [T],
-    ) {
+    pub(crate) fn sample<T: Scalar>(&self, plane: &[T], corner: Corner<T>, scratch: &mut Scratch<T>, out: &mut [T]) {
         let (d, span) = (self.side(), self.side() + 1);
         let Scratch { patch, blended } = scratch;
-        let (rows, columns) = (
-            inside(corner.y, span, self.height),
-            inside(corner.x, span, self.width),
-        );
+        let (rows, columns) = (inside(corner.y, span, self.height), inside(corner.x, span, self.width));
         if rows.is_empty() || columns.is_empty() {
             out.fill(T::ZERO);
             return;
@@ -105,18 +88,9 @@ impl Level {
     }
 
     /// Transpose of [`Level::sample`]: adds the window of gradients `g` into the plane.
-    pub(crate) fn scatter<T: Scalar>(
-        &self,
-        g: &[T],
-        corner: Corner<T>,
-        scratch: &mut Scratch<T>,
-        plane: &mut [T],
-    ) {
+    pub(crate) fn scatter<T: Scalar>(&self, g: &[T], corner: Corner<T>, scratch: &mut Scratch<T>, plane: &mut [T]) {
         let (d, span) = (self.side(), self.side() + 1);
-        let (rows, columns) = (
-            inside(corner.y, span, self.height),
-            inside(corner.x, span, self.width),
-        );
+        let (rows, columns) = (inside(corner.y, span, self.height), inside(corner.x, span, self.width));
         if rows.is_empty() || columns.is_empty() {
             return;
         }
@@ -154,10 +128,7 @@ pub(crate) struct Scratch<T> {
 impl<T: Scalar> Scratch<T> {
     pub(crate) fn new(level: &Level) -> Self {
         let span = level.side() + 1;
-        Self {
-            patch: vec![T::ZERO; span * span],
-            blended: vec![T::ZERO; span * level.side()],
-        }
+        Self { patch: vec![T::ZERO; span * span], blended: vec![T::ZERO; span * level.side()] }
     }
 }
 
@@ -176,12 +147,7 @@ mod tests {
 
     #[test]
     fn scatter_is_the_transpose_of_sample() {
-        let level = Level {
-            height: 4,
-            width: 3,
-            level: 1,
-            radius: 1,
-        };
+        let level = Level { height: 4, width: 3, level: 1, radius: 1 };
         let mut scratch = Scratch::new(&level);
         let plane: Vec<f64> = (0..12).map(|i| f64::from(i * i % 7) - 2.0).collect();
         let g: Vec<f64> = (0..9).map(|i| f64::from(i * 5 % 9) - 4.0).collect();
@@ -191,29 +157,16 @@ mod tests {
             level.sample(&plane, corner, &mut scratch, &mut window);
             level.scatter(&g, corner, &mut scratch, &mut gradient);
             let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            assert!(
-                (dot(&window, &g) - dot(&plane, &gradient)).abs() < 1e-12,
-                "at {cx}, {cy}"
-            );
+            assert!((dot(&window, &g) - dot(&plane, &gradient)).abs() < 1e-12, "at {cx}, {cy}");
         }
     }
 
     #[test]
     fn the_centre_is_scaled_to_the_level() {
-        let level = Level {
-            height: 3,
-            width: 3,
-            level: 2,
-            radius: 0,
-        };
+        let level = Level { height: 3, width: 3, level: 2, radius: 0 };
         let plane: Vec<f64> = (0..9).map(f64::from).collect();
         let mut out = [0.0];
-        level.sample(
-            &plane,
-            Corner::new(4.0, 6.0, 2, 0),
-            &mut Scratch::new(&level),
-            &mut out,
-        );
+        level.sample(&plane, Corner::new(4.0, 6.0, 2, 0), &mut Scratch::new(&level), &mut out);
         // (4, 6) is (1, 1.5) on level 2: between 4 and 7.
         assert_eq!(out, [5.5]);
     }

@@ -11,11 +11,7 @@ use crate::shape::assert_same;
 use crate::{GradSink, Scalar, Shape, Tensor, Var, par};
 
 fn forward<T: Scalar>(x: &[T], mask: &[T], divisor: f64) -> T {
-    T::from_f64(
-        par::sum(x.len(), |piece| {
-            masked_lane_sum(&x[piece.clone()], &mask[piece])
-        }) / divisor,
-    )
+    T::from_f64(par::sum(x.len(), |piece| masked_lane_sum(&x[piece.clone()], &mask[piece])) / divisor)
 }
 
 fn backward<T: Scalar>(mask: &[T], divisor: f64, grad_y: T, grad_x: &mut [T]) {
@@ -25,10 +21,7 @@ fn backward<T: Scalar>(mask: &[T], divisor: f64, grad_y: T, grad_x: &mut [T]) {
 
 /// `max(count, 1)` of the entries that are not 0.
 fn divisor<T: Scalar>(mask: &[T]) -> f64 {
-    par::sum(mask.len(), |piece| {
-        mask[piece].iter().filter(|&&m| m != T::ZERO).count() as f64
-    })
-    .max(1.0)
+    par::sum(mask.len(), |piece| mask[piece].iter().filter(|&&m| m != T::ZERO).count() as f64).max(1.0)
 }
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -44,34 +37,19 @@ impl<'t, T: Scalar> Var<'t, T> {
         let size = shape.len().checked_div(shape.n()).unwrap_or(0).max(1);
         let (x, mask) = (self.value(), mask.clone());
         let divisors: Vec<f64> = mask.data().chunks_exact(size).map(divisor).collect();
-        let samples = x
-            .data()
-            .chunks_exact(size)
-            .zip(mask.data().chunks_exact(size));
-        let y = samples
-            .zip(&divisors)
-            .map(|((x, mask), &divisor)| forward(x, mask, divisor))
-            .collect();
+        let samples = x.data().chunks_exact(size).zip(mask.data().chunks_exact(size));
+        let y = samples.zip(&divisors).map(|((x, mask), &divisor)| forward(x, mask, divisor)).collect();
         let y = Tensor::from_vec(Shape::new(shape.n(), 1, 1, 1), y);
-        self.tape().push(
-            "masked_mean",
-            y,
-            &[self],
-            move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-                if let Some(mut slot) = grads.slot(0) {
-                    slot.write(|out| {
-                        let samples = out
-                            .chunks_exact_mut(size)
-                            .zip(mask.data().chunks_exact(size));
-                        for ((out, mask), (&divisor, &g)) in
-                            samples.zip(divisors.iter().zip(g.data()))
-                        {
-                            backward(mask, divisor, g, out);
-                        }
-                    });
-                }
-            },
-        )
+        self.tape().push("masked_mean", y, &[self], move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.write(|out| {
+                    let samples = out.chunks_exact_mut(size).zip(mask.data().chunks_exact(size));
+                    for ((out, mask), (&divisor, &g)) in samples.zip(divisors.iter().zip(g.data())) {
+                        backward(mask, divisor, g, out);
+                    }
+                });
+            }
+        })
     }
 }
 
@@ -90,10 +68,7 @@ mod tests {
         let y = x.masked_mean(&Tensor::from_vec(shape, vec![1.0, 0.0, 0.5, 0.0, 0.0, 0.0]));
         assert_eq!(y.shape(), Shape::new(2, 1, 1, 1));
         close(y.value().data(), &[3.5, 0.0]);
-        close(
-            tape.backward(y.sum()).wrt(x).data(),
-            &[0.5, 0.0, 0.5, 0.0, 0.0, 0.0],
-        );
+        close(tape.backward(y.sum()).wrt(x).data(), &[0.5, 0.0, 0.5, 0.0, 0.0, 0.0]);
     }
 
     #[test]
@@ -101,28 +76,15 @@ mod tests {
         let tape = Tape::new();
         let shape = Shape::new(1, 1, 1, 2);
         let x = tape.leaf(Tensor::from_vec(shape, vec![f64::NAN, 3.0]));
-        close(
-            x.masked_mean(&Tensor::from_vec(shape, vec![0.0, 1.0]))
-                .value()
-                .data(),
-            &[3.0],
-        );
-        assert!(
-            x.masked_mean(&Tensor::full(shape, 1.0))
-                .value()
-                .item()
-                .is_nan()
-        );
+        close(x.masked_mean(&Tensor::from_vec(shape, vec![0.0, 1.0])).value().data(), &[3.0]);
+        assert!(x.masked_mean(&Tensor::full(shape, 1.0)).value().item().is_nan());
     }
 
     #[test]
-    #[should_panic(
-        expected = "masked_mean (mask): operands must have equal shapes, got [2, 3, 4, 5] and [2, 1, 4, 5]"
-    )]
+    #[should_panic(expected = "masked_mean (mask): operands must have equal shapes, got [2, 3, 4, 5] and [2, 1, 4, 5]")]
     fn mask_of_another_shape_is_refused() {
         let tape = Tape::<f64>::new();
-        tape.leaf(Tensor::zeros(Shape::new(2, 3, 4, 5)))
-            .masked_mean(&Tensor::zeros(Shape::new(2, 1, 4, 5)));
+        tape.leaf(Tensor::zeros(Shape::new(2, 3, 4, 5))).masked_mean(&Tensor::zeros(Shape::new(2, 1, 4, 5)));
     }
 
     /// About half of the entries, the first one always.

@@ -83,7 +83,6 @@ fn small<T: Scalar>(out: &mut [T], a: View<'_, T>, b: View<'_, T>, add: bool) {
     }
 }
 
-
 #[cfg(test)]
 mod tests {
     use crate::gradcheck::{random, weighted_sum};

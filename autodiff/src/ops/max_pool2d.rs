@@ -15,13 +15,7 @@ fn larger<T: Scalar>(best: T, v: T) -> T {
 }
 
 fn forward_plane<T: Scalar>(x: &[T], y: &mut [T], window: Window) {
-    let Window {
-        width,
-        kernel,
-        stride,
-        padding,
-        ..
-    } = window;
+    let Window { width, kernel, stride, padding, .. } = window;
     let mut column = vec![T::NEG_INFINITY; width + 2 * padding];
     for (oy, out) in y.chunks_exact_mut(window.out_width).enumerate() {
         let middle = &mut column[padding..padding + width];
@@ -32,30 +26,19 @@ fn forward_plane<T: Scalar>(x: &[T], y: &mut [T], window: Window) {
             }
         }
         for (o, values) in out.iter_mut().zip(column.windows(kernel).step_by(stride)) {
-            *o = values
-                .iter()
-                .fold(T::NEG_INFINITY, |best, &v| larger(best, v));
+            *o = values.iter().fold(T::NEG_INFINITY, |best, &v| larger(best, v));
         }
     }
 }
 
 /// Flat index of the first element of the window at `(oy, ox)` that equals `best`.
 #[inline(always)]
-fn first_maximum<T: Scalar>(
-    x: &[T],
-    best: T,
-    window: Window,
-    oy: usize,
-    ox: usize,
-) -> Option<usize> {
+fn first_maximum<T: Scalar>(x: &[T], best: T, window: Window, oy: usize, ox: usize) -> Option<usize> {
     let columns = window.columns(ox);
     for row in window.rows(oy) {
         let start = row * window.width + columns.start;
         let values = &x[start..start + columns.len()];
-        if let Some(i) = values
-            .iter()
-            .position(|&v| v == best || (v.is_nan() && best.is_nan()))
-        {
+        if let Some(i) = values.iter().position(|&v| v == best || (v.is_nan() && best.is_nan())) {
             return Some(start + i);
         }
     }
@@ -117,9 +100,7 @@ mod tests {
     #[test]
     fn three_by_three_stride_two_of_a_small_plane() {
         let tape = Tape::new();
-        let x = [
-            -1.0, -2.0, -3.0, -4.0, 5.0, 0.0, 7.0, -8.0, 9.0, 2.0, 1.0, 0.0,
-        ];
+        let x = [-1.0, -2.0, -3.0, -4.0, 5.0, 0.0, 7.0, -8.0, 9.0, 2.0, 1.0, 0.0];
         let x = tape.leaf(tensor([1, 1, 3, 4], &x));
         let y = x.max_pool2d(3, 2, 1);
         close(y.value().data(), &[5.0, 7.0, 9.0, 7.0]);
@@ -142,10 +123,7 @@ mod tests {
         let tape = Tape::new();
         let x = tape.leaf(Tensor::full(Shape::new(1, 1, 2, 4), 3.0));
         let grads = tape.backward(x.max_pool2d(2, 2, 0).sum());
-        close(
-            grads.wrt(x).data(),
-            &[1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        );
+        close(grads.wrt(x).data(), &[1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     }
 
     #[test]
@@ -159,12 +137,9 @@ mod tests {
 
     #[test]
     fn gradient_matches_finite_differences() {
-        for (sizes, k, s, p) in [
-            ([2, 2, 5, 7], 3, 2, 1),
-            ([1, 3, 4, 3], 2, 1, 0),
-            ([1, 1, 1, 6], 3, 3, 1),
-            ([1, 1, 6, 5], 4, 1, 2),
-        ] {
+        for (sizes, k, s, p) in
+            [([2, 2, 5, 7], 3, 2, 1), ([1, 3, 4, 3], 2, 1, 0), ([1, 1, 1, 6], 3, 3, 1), ([1, 1, 6, 5], 4, 1, 2)]
+        {
             check(&[noise(5, sizes)], |v| v[0].max_pool2d(k, s, p));
         }
     }

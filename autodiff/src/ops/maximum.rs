@@ -40,9 +40,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// **Panics** when the shapes differ.
     #[track_caller]
     pub fn maximum(self, other: Var<'t, T>) -> Var<'t, T> {
-        binary::keep_both("maximum", self, other, forward, backward, |a, b, g, out| {
-            backward(b, a, g, out)
-        })
+        binary::keep_both("maximum", self, other, forward, backward, |a, b, g, out| backward(b, a, g, out))
     }
 }
 
@@ -69,13 +67,10 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(
-        expected = "maximum: operands must have equal shapes, got [1, 1, 1, 2] and [1, 1, 2, 1]"
-    )]
+    #[should_panic(expected = "maximum: operands must have equal shapes, got [1, 1, 1, 2] and [1, 1, 2, 1]")]
     fn different_shapes_are_refused() {
         let tape = Tape::new();
-        tape.leaf(row(&[1.0, 2.0]))
-            .maximum(tape.leaf(Tensor::zeros(Shape::new(1, 1, 2, 1))));
+        tape.leaf(row(&[1.0, 2.0])).maximum(tape.leaf(Tensor::zeros(Shape::new(1, 1, 2, 1))));
     }
 
     proptest! {

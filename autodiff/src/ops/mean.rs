@@ -25,9 +25,7 @@ mod tests {
     #[test]
     fn values_and_gradient_are_known() {
         let tape = Tape::new();
-        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 3, 1, 2), |n, c, _, w| {
-            (100 * n + 10 * c + w) as f64
-        }));
+        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 3, 1, 2), |n, c, _, w| (100 * n + 10 * c + w) as f64));
         let y = x.mean();
         assert_eq!(y.shape(), Shape::SCALAR);
         close(y.value().data(), &[60.5]);

@@ -24,17 +24,12 @@ mod tests {
     #[test]
     fn values_and_gradient_are_known() {
         let tape = Tape::new();
-        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 3, 1, 2), |n, c, _, w| {
-            (100 * n + 10 * c + w) as f64
-        }));
+        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 3, 1, 2), |n, c, _, w| (100 * n + 10 * c + w) as f64));
         let y = x.mean_channels();
         assert_eq!(y.shape(), Shape::new(2, 1, 1, 2));
         close(y.value().data(), &[10.0, 11.0, 110.0, 111.0]);
         let weights = tape.constant(Tensor::from_vec(y.shape(), vec![3.0, 6.0, 9.0, 12.0]));
-        close(
-            tape.backward(y.mul(weights).sum()).wrt(x).data(),
-            &[1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 3.0, 4.0, 3.0, 4.0, 3.0, 4.0],
-        );
+        close(tape.backward(y.mul(weights).sum()).wrt(x).data(), &[1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 3.0, 4.0, 3.0, 4.0, 3.0, 4.0]);
     }
 
     proptest! {

@@ -10,12 +10,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// **Gradient**: `g / (h w)` to every entry of the plane.
     pub fn mean_hw(self) -> Var<'t, T> {
         let shape = self.shape();
-        reduce::record(
-            "mean_hw",
-            self,
-            shape.with_plane(1, 1),
-            shape.plane() as f64,
-        )
+        reduce::record("mean_hw", self, shape.with_plane(1, 1), shape.plane() as f64)
     }
 }
 
@@ -29,20 +24,12 @@ mod tests {
     #[test]
     fn values_and_gradient_are_known() {
         let tape = Tape::new();
-        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 3, 1, 2), |n, c, _, w| {
-            (100 * n + 10 * c + w) as f64
-        }));
+        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 3, 1, 2), |n, c, _, w| (100 * n + 10 * c + w) as f64));
         let y = x.mean_hw();
         assert_eq!(y.shape(), Shape::new(2, 3, 1, 1));
         close(y.value().data(), &[0.5, 10.5, 20.5, 100.5, 110.5, 120.5]);
-        let weights = tape.constant(Tensor::from_vec(
-            y.shape(),
-            vec![2.0, 4.0, 6.0, 8.0, 10.0, 12.0],
-        ));
-        close(
-            tape.backward(y.mul(weights).sum()).wrt(x).data(),
-            &[1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0, 5.0, 5.0, 6.0, 6.0],
-        );
+        let weights = tape.constant(Tensor::from_vec(y.shape(), vec![2.0, 4.0, 6.0, 8.0, 10.0, 12.0]));
+        close(tape.backward(y.mul(weights).sum()).wrt(x).data(), &[1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0, 5.0, 5.0, 6.0, 6.0]);
     }
 
     proptest! {

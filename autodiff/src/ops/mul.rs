@@ -77,9 +77,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(
-        expected = "mul: operands must have equal shapes, got [1, 1, 1, 2] and [1, 1, 1, 1]"
-    )]
+    #[should_panic(expected = "mul: operands must have equal shapes, got [1, 1, 1, 2] and [1, 1, 1, 1]")]
     fn nothing_is_broadcast_silently() {
         let tape = Tape::<f64>::new();
         let a = tape.leaf(Tensor::zeros(Shape::new(1, 1, 1, 2)));

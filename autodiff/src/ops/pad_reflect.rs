@@ -71,10 +71,7 @@ fn backward_plane<T: Scalar>(g: &[T], gx: &mut [T], width: usize, padding: usize
         folded.copy_from_slice(row);
         fold_ends(&mut folded, padding, edge);
         let target = edge.source(i, padding, height) * width;
-        add_row(
-            &mut gx[target..target + width],
-            &folded[padding..padding + width],
-        );
+        add_row(&mut gx[target..target + width], &folded[padding..padding + width]);
     }
 }
 
@@ -84,13 +81,7 @@ fn pad<'t, T: Scalar>(op: &'static str, x: Var<'t, T>, padding: usize, edge: Edg
     let value = x.value();
     let mut y = x.tape().scratch(shape.len());
     for_each_plane(&mut y, shape.plane(), |i, plane| {
-        forward_plane(
-            &value.data()[i * h * w..(i + 1) * h * w],
-            plane,
-            w,
-            padding,
-            edge,
-        );
+        forward_plane(&value.data()[i * h * w..(i + 1) * h * w], plane, w, padding, edge);
     });
     let y = x.tape().tensor(shape, y);
     x.tape().push(op, y, &[x], move |g, grads| {
@@ -129,10 +120,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     #[track_caller]
     pub fn pad_replicate(self, padding: usize) -> Var<'t, T> {
         let shape = self.shape();
-        assert!(
-            shape.plane() > 0,
-            "pad_replicate: input {shape:?}: planes must not be empty"
-        );
+        assert!(shape.plane() > 0, "pad_replicate: input {shape:?}: planes must not be empty");
         pad("pad_replicate", self, padding, Edge::Replicate)
     }
 }
@@ -147,17 +135,11 @@ mod tests {
     fn reflection_skips_the_edge_and_replication_repeats_it() {
         let tape = Tape::new();
         let x = tape.constant(tensor([1, 1, 1, 3], &[1.0, 2.0, 3.0]));
-        close(
-            x.pad_replicate(2).value().data(),
-            &[[1.0, 1.0, 1.0, 2.0, 3.0, 3.0, 3.0]; 5].concat(),
-        );
+        close(x.pad_replicate(2).value().data(), &[[1.0, 1.0, 1.0, 2.0, 3.0, 3.0, 3.0]; 5].concat());
         let x = tape.constant(tensor([1, 1, 2, 3], &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
         let top = [2.0, 1.0, 2.0, 3.0, 2.0];
         let bottom = [5.0, 4.0, 5.0, 6.0, 5.0];
-        close(
-            x.pad_reflect(1).value().data(),
-            &[bottom, top, bottom, top].concat(),
-        );
+        close(x.pad_reflect(1).value().data(), &[bottom, top, bottom, top].concat());
     }
 
     #[test]
@@ -172,12 +154,7 @@ mod tests {
 
     #[test]
     fn padding_is_linear_with_the_right_transpose() {
-        for (sizes, p) in [
-            ([2, 3, 4, 5], 2),
-            ([1, 2, 7, 3], 1),
-            ([3, 1, 3, 9], 0),
-            ([1, 1, 4, 6], 3),
-        ] {
+        for (sizes, p) in [([2, 3, 4, 5], 2), ([1, 2, 7, 3], 1), ([3, 1, 3, 9], 0), ([1, 1, 4, 6], 3)] {
             let shape = noise(2, sizes).shape();
             check_adjoint(shape, 3, |x| x.pad_reflect(p));
             check_adjoint(shape, 4, |x| x.pad_replicate(p + 1));

@@ -18,9 +18,7 @@ fn permute<T: Scalar>(x: &[T], shape: Shape, order: [usize; 4], y: &mut [T]) {
             if strides[3] == 1 {
                 y.copy_from_slice(&x[start..start + width]);
             } else {
-                y.iter_mut()
-                    .zip(x[start..].iter().step_by(strides[3]))
-                    .for_each(|(y, &x)| *y = x);
+                y.iter_mut().zip(x[start..].iter().step_by(strides[3])).for_each(|(y, &x)| *y = x);
             }
         }
     });
@@ -48,24 +46,16 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn permute(self, order: [usize; 4]) -> Var<'t, T> {
         let shape = self.shape();
         let complete = (0..4).all(|axis| order.contains(&axis));
-        assert!(
-            complete,
-            "permute: order {order:?} for shape {shape}; the rule: each of 0, 1, 2, 3 once"
-        );
+        assert!(complete, "permute: order {order:?} for shape {shape}; the rule: each of 0, 1, 2, 3 once");
         let to = permuted(shape, order);
         let mut y = self.tape().scratch(to.len());
         permute(self.value().data(), shape, order, &mut y);
         let y = self.tape().tensor(to, y);
-        self.tape().push(
-            "permute",
-            y,
-            &[self],
-            move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-                if let Some(mut slot) = grads.slot(0) {
-                    slot.write(|out| permute(g.data(), to, inverse(order), out));
-                }
-            },
-        )
+        self.tape().push("permute", y, &[self], move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.write(|out| permute(g.data(), to, inverse(order), out));
+            }
+        })
     }
 }
 
@@ -80,29 +70,18 @@ mod tests {
     #[test]
     fn values_and_gradient_are_known() {
         let tape = Tape::new();
-        let x = tape.leaf(Tensor::from_vec(
-            Shape::new(1, 1, 2, 3),
-            vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
-        ));
+        let x = tape.leaf(Tensor::from_vec(Shape::new(1, 1, 2, 3), vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
         let y = x.permute([0, 1, 3, 2]);
         assert_eq!(y.shape(), Shape::new(1, 1, 3, 2));
         close(y.value().data(), &[1.0, 4.0, 2.0, 5.0, 3.0, 6.0]);
-        let weights = tape.constant(Tensor::from_vec(
-            y.shape(),
-            vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
-        ));
-        close(
-            tape.backward(y.mul(weights).sum()).wrt(x).data(),
-            &[1.0, 3.0, 5.0, 2.0, 4.0, 6.0],
-        );
+        let weights = tape.constant(Tensor::from_vec(y.shape(), vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
+        close(tape.backward(y.mul(weights).sum()).wrt(x).data(), &[1.0, 3.0, 5.0, 2.0, 4.0, 6.0]);
     }
 
     #[test]
     #[should_panic(expected = "permute: order [0, 1, 1, 3] for shape [1, 2, 3, 4]")]
     fn incomplete_order_is_refused() {
-        Tape::<f64>::new()
-            .leaf(Tensor::zeros(Shape::new(1, 2, 3, 4)))
-            .permute([0, 1, 1, 3]);
+        Tape::<f64>::new().leaf(Tensor::zeros(Shape::new(1, 2, 3, 4))).permute([0, 1, 1, 3]);
     }
 
     fn orders() -> impl Strategy<Value = [usize; 4]> {

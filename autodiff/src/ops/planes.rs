@@ -107,37 +107,17 @@ pub(crate) struct Window {
 impl Window {
     /// The window of `op` over the planes of `shape`; output size floor((size + 2 padding - kernel) / stride) + 1.
     #[track_caller]
-    pub(crate) fn new(
-        op: &str,
-        shape: Shape,
-        kernel: usize,
-        stride: usize,
-        padding: usize,
-    ) -> Self {
+    pub(crate) fn new(op: &str, shape: Shape, kernel: usize, stride: usize, padding: usize) -> Self {
         let (height, width) = (shape.h(), shape.w());
-        assert!(
-            kernel >= 1 && stride >= 1,
-            "{op}: kernel {kernel} and stride {stride} must be at least 1"
-        );
-        assert!(
-            2 * padding <= kernel,
-            "{op}: padding {padding} must be at most half of the kernel {kernel}"
-        );
+        assert!(kernel >= 1 && stride >= 1, "{op}: kernel {kernel} and stride {stride} must be at least 1");
+        assert!(2 * padding <= kernel, "{op}: padding {padding} must be at most half of the kernel {kernel}");
         assert!(
             height.min(width) > 0 && height.min(width) + 2 * padding >= kernel,
             "{op}: input {shape} with padding {padding} must be at least as large as the kernel {kernel}"
         );
         let out = |n: usize| (n + 2 * padding - kernel) / stride + 1;
         let (out_height, out_width) = (out(height), out(width));
-        Self {
-            height,
-            width,
-            kernel,
-            stride,
-            padding,
-            out_height,
-            out_width,
-        }
+        Self { height, width, kernel, stride, padding, out_height, out_width }
     }
 
     /// Input rows covered by output row `oy`, padding left out.
@@ -179,12 +159,8 @@ mod tests {
     #[test]
     fn sums_agree_with_a_plain_loop_on_every_remainder() {
         for len in [0, 1, 15, 16, 17, 1023, 1024, 1057, 2500] {
-            let x: Vec<f64> = (0..len)
-                .map(|i| ((i * 37 % 101) as f64) / 7.0 - 5.0)
-                .collect();
-            let y: Vec<f64> = (0..len)
-                .map(|i| ((i * 53 % 97) as f64) / 9.0 - 4.0)
-                .collect();
+            let x: Vec<f64> = (0..len).map(|i| ((i * 37 % 101) as f64) / 7.0 - 5.0).collect();
+            let y: Vec<f64> = (0..len).map(|i| ((i * 53 % 97) as f64) / 9.0 - 4.0).collect();
             let squares: f64 = x.iter().map(|v| v * v).sum();
             assert!((sum_map(&x, |v| v * v) - squares).abs() <= 1e-9);
             let (total, moment) = sum_and_moment(&x, &y, 0.5);

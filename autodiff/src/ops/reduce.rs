@@ -13,35 +13,22 @@ const LANES: usize = 8;
 #[track_caller]
 pub(crate) fn assert_goes_with(op: &str, small: Shape, large: Shape) {
     let fits = small.0.iter().zip(large.0).all(|(&s, l)| s == l || s == 1);
-    assert!(
-        fits,
-        "{op}: {small} does not go with {large}; the rule: every axis of {small} is equal or has size 1"
-    );
+    assert!(fits, "{op}: {small} does not go with {large}; the rule: every axis of {small} is equal or has size 1");
 }
 
 /// Records the sum of `x` over the axes where `small` has size 1, divided by `divisor`.
 #[track_caller]
-pub(crate) fn record<'t, T: Scalar>(
-    op: &'static str,
-    x: Var<'t, T>,
-    small: Shape,
-    divisor: f64,
-) -> Var<'t, T> {
+pub(crate) fn record<'t, T: Scalar>(op: &'static str, x: Var<'t, T>, small: Shape, divisor: f64) -> Var<'t, T> {
     let large = x.shape();
     assert_goes_with(op, small, large);
     let mut y = x.tape().scratch(small.len());
     reduce(x.value().data(), large, &mut y, small, divisor);
     let y = x.tape().tensor(small, y);
-    x.tape().push(
-        op,
-        y,
-        &[x],
-        move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-            if let Some(mut slot) = grads.slot(0) {
-                slot.write(|out| expand(g.data(), small, out, large, divisor));
-            }
-        },
-    )
+    x.tape().push(op, y, &[x], move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+        if let Some(mut slot) = grads.slot(0) {
+            slot.write(|out| expand(g.data(), small, out, large, divisor));
+        }
+    })
 }
 
 /// `out = (sum of x over the axes where small has size 1) / divisor`.
@@ -50,23 +37,16 @@ pub(crate) fn reduce<T: Scalar>(x: &[T], large: Shape, out: &mut [T], small: Sha
         out[0] = T::from_f64(par::sum(x.len(), |piece| lane_sum(&x[piece])) / divisor);
     } else if small.w() == 1 {
         par::for_each_chunk(out, 1, |row, out| {
-            let total: f64 = source_rows(row, small, large)
-                .map(|r| lane_sum(&x[r]))
-                .sum();
+            let total: f64 = source_rows(row, small, large).map(|r| lane_sum(&x[r])).sum();
             out[0] = T::from_f64(total / divisor);
         });
     } else {
         par::for_each_chunk(out, small.w(), |row, out| {
             let mut totals = vec![0.0; out.len()];
             for source in source_rows(row, small, large) {
-                totals
-                    .iter_mut()
-                    .zip(&x[source])
-                    .for_each(|(total, x)| *total += x.to_f64());
+                totals.iter_mut().zip(&x[source]).for_each(|(total, x)| *total += x.to_f64());
             }
-            out.iter_mut()
-                .zip(totals)
-                .for_each(|(out, total)| *out = T::from_f64(total / divisor));
+            out.iter_mut().zip(totals).for_each(|(out, total)| *out = T::from_f64(total / divisor));
         });
     }
 }
@@ -74,21 +54,9 @@ pub(crate) fn reduce<T: Scalar>(x: &[T], large: Shape, out: &mut [T], small: Sha
 /// The pieces of the large array that are summed into one row of the small one, in order: rows, or whole planes.
 fn source_rows(row: usize, small: Shape, large: Shape) -> impl Iterator<Item = Range<usize>> {
     let whole_planes = small.plane() == 1;
-    let (h, c, n) = (
-        row % small.h(),
-        row / small.h() % small.c(),
-        row / small.h() / small.c(),
-    );
-    let rows = if whole_planes {
-        0..1
-    } else {
-        span(h, small.h(), large.h())
-    };
-    let len = if whole_planes {
-        large.plane()
-    } else {
-        large.w()
-    };
+    let (h, c, n) = (row % small.h(), row / small.h() % small.c(), row / small.h() / small.c());
+    let rows = if whole_planes { 0..1 } else { span(h, small.h(), large.h()) };
+    let len = if whole_planes { large.plane() } else { large.w() };
     let channels = span(c, small.c(), large.c());
     span(n, small.n(), large.n()).flat_map(move |n| {
         let rows = rows.clone();
@@ -109,11 +77,7 @@ fn span(i: usize, small: usize, large: usize) -> Range<usize> {
 /// `out = x / divisor`, repeated along the axes where `small` has size 1.
 pub(crate) fn expand<T: Scalar>(x: &[T], small: Shape, out: &mut [T], large: Shape, divisor: f64) {
     let share = |x: T| {
-        if divisor == 1.0 {
-            x
-        } else {
-            T::from_f64(x.to_f64() / divisor)
-        }
+        if divisor == 1.0 { x } else { T::from_f64(x.to_f64() / divisor) }
     };
     if small.len() == 1 {
         let value = share(x[0]);
@@ -125,18 +89,12 @@ pub(crate) fn expand<T: Scalar>(x: &[T], small: Shape, out: &mut [T], large: Sha
     par::for_each_chunk(out, rows_per_chunk * width, |chunk, out| {
         for (i, out) in out.chunks_exact_mut(width).enumerate() {
             let row = chunk * rows_per_chunk + i;
-            let (h, c, n) = (
-                row % large.h(),
-                row / large.h() % large.c(),
-                row / large.h() / large.c(),
-            );
+            let (h, c, n) = (row % large.h(), row / large.h() % large.c(), row / large.h() / large.c());
             let at = small.index(pin(n, small.n()), pin(c, small.c()), pin(h, small.h()), 0);
             if small.w() == 1 {
                 out.fill(share(x[at]));
             } else {
-                out.iter_mut()
-                    .zip(&x[at..at + width])
-                    .for_each(|(out, &x)| *out = share(x));
+                out.iter_mut().zip(&x[at..at + width]).for_each(|(out, &x)| *out = share(x));
             }
         }
     });
@@ -147,10 +105,7 @@ pub(crate) fn lane_sum<T: Scalar>(x: &[T]) -> f64 {
     let (body, tail) = x.as_chunks::<LANES>();
     let mut lanes = [0.0; LANES];
     for chunk in body {
-        lanes
-            .iter_mut()
-            .zip(chunk)
-            .for_each(|(lane, x)| *lane += x.to_f64());
+        lanes.iter_mut().zip(chunk).for_each(|(lane, x)| *lane += x.to_f64());
     }
     fold_lanes(lanes) + tail.iter().map(|x| x.to_f64()).sum::<f64>()
 }
@@ -158,20 +113,14 @@ pub(crate) fn lane_sum<T: Scalar>(x: &[T]) -> f64 {
 /// As [`lane_sum`], over the entries whose mask is not 0.
 pub(crate) fn masked_lane_sum<T: Scalar>(x: &[T], mask: &[T]) -> f64 {
     let chosen = |x: &T, m: &T| if *m == T::ZERO { 0.0 } else { x.to_f64() };
-    let ((body, tail), (mask_body, mask_tail)) =
-        (x.as_chunks::<LANES>(), mask.as_chunks::<LANES>());
+    let ((body, tail), (mask_body, mask_tail)) = (x.as_chunks::<LANES>(), mask.as_chunks::<LANES>());
     let mut lanes = [0.0; LANES];
     for (chunk, mask) in body.iter().zip(mask_body) {
         for ((lane, x), m) in lanes.iter_mut().zip(chunk).zip(mask) {
             *lane += chosen(x, m);
         }
     }
-    fold_lanes(lanes)
-        + tail
-            .iter()
-            .zip(mask_tail)
-            .map(|(x, m)| chosen(x, m))
-            .sum::<f64>()
+    fold_lanes(lanes) + tail.iter().zip(mask_tail).map(|(x, m)| chosen(x, m)).sum::<f64>()
 }
 
 fn fold_lanes(l: [f64; LANES]) -> f64 {

@@ -10,12 +10,7 @@ fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
 }
 
 fn backward<T: Scalar>(y: &[T], grad_y: &[T], grad_x: &mut [T]) {
-    kernel::zip(
-        grad_x,
-        y,
-        grad_y,
-        |y, g| if y <= T::ZERO { T::ZERO } else { g },
-    );
+    kernel::zip(grad_x, y, grad_y, |y, g| if y <= T::ZERO { T::ZERO } else { g });
 }
 
 impl<'t, T: Scalar> Var<'t, T> {

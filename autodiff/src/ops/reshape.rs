@@ -12,16 +12,11 @@ impl<'t, T: Scalar> Var<'t, T> {
     #[track_caller]
     pub fn reshape(self, shape: Shape) -> Var<'t, T> {
         let y = self.value().reshaped(shape);
-        self.tape().push(
-            "reshape",
-            y,
-            &[self],
-            |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-                if let Some(mut slot) = grads.slot(0) {
-                    slot.add_tensor(g);
-                }
-            },
-        )
+        self.tape().push("reshape", y, &[self], |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.add_tensor(g);
+            }
+        })
     }
 }
 
@@ -35,10 +30,7 @@ mod tests {
     #[test]
     fn values_keep_their_order_and_gradients_return() {
         let tape = Tape::new();
-        let x = tape.leaf(Tensor::from_vec(
-            Shape::new(1, 2, 1, 3),
-            vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
-        ));
+        let x = tape.leaf(Tensor::from_vec(Shape::new(1, 2, 1, 3), vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
         let y = x.reshape(Shape::new(3, 1, 2, 1));
         close(y.value().data(), &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
         assert_eq!(y.value().at(1, 0, 0, 0), 3.0);
@@ -48,13 +40,9 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(
-        expected = "reshape: [1, 2, 1, 3] and [1, 1, 1, 5] hold different numbers of elements"
-    )]
+    #[should_panic(expected = "reshape: [1, 2, 1, 3] and [1, 1, 1, 5] hold different numbers of elements")]
     fn another_length_is_refused() {
-        Tape::<f64>::new()
-            .leaf(Tensor::zeros(Shape::new(1, 2, 1, 3)))
-            .reshape(Shape::new(1, 1, 1, 5));
+        Tape::<f64>::new().leaf(Tensor::zeros(Shape::new(1, 2, 1, 3))).reshape(Shape::new(1, 1, 1, 5));
     }
 
     proptest! {

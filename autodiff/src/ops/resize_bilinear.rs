@@ -25,11 +25,7 @@ struct Tap<T> {
 fn axis_taps<T: Scalar>(size: usize, out: usize, align_corners: bool) -> Vec<Tap<T>> {
     let position = |i: usize| {
         if align_corners {
-            if out > 1 {
-                i as f64 * ((size - 1) as f64 / (out - 1) as f64)
-            } else {
-                0.0
-            }
+            if out > 1 { i as f64 * ((size - 1) as f64 / (out - 1) as f64) } else { 0.0 }
         } else {
             ((i as f64 + 0.5) * (size as f64 / out as f64) - 0.5).max(0.0)
         }
@@ -39,12 +35,7 @@ fn axis_taps<T: Scalar>(size: usize, out: usize, align_corners: bool) -> Vec<Tap
         let low = (s as usize).min(size - 1);
         let part = (s - low as f64).min(1.0);
         let (low_weight, high_weight) = (T::from_f64(1.0 - part), T::from_f64(part));
-        Tap {
-            low,
-            high: (low + 1).min(size - 1),
-            low_weight,
-            high_weight,
-        }
+        Tap { low, high: (low + 1).min(size - 1), low_weight, high_weight }
     };
     (0..out).map(tap).collect()
 }
@@ -60,10 +51,7 @@ impl<T: Scalar> Plan<T> {
     fn forward_plane(&self, x: &[T], y: &mut [T]) {
         let mut blended = vec![T::ZERO; self.width];
         for (tap, out) in self.rows.iter().zip(y.chunks_exact_mut(self.columns.len())) {
-            let (low, high) = (
-                &x[tap.low * self.width..][..self.width],
-                &x[tap.high * self.width..][..self.width],
-            );
+            let (low, high) = (&x[tap.low * self.width..][..self.width], &x[tap.high * self.width..][..self.width]);
             for ((b, &l), &h) in blended.iter_mut().zip(low).zip(high) {
                 *b = tap.low_weight * l + tap.high_weight * h;
             }
@@ -82,16 +70,8 @@ impl<T: Scalar> Plan<T> {
                 blended[tap.low] += tap.low_weight * g;
                 blended[tap.high] += tap.high_weight * g;
             }
-            add_scaled_row(
-                &mut gx[tap.low * self.width..][..self.width],
-                tap.low_weight,
-                &blended,
-            );
-            add_scaled_row(
-                &mut gx[tap.high * self.width..][..self.width],
-                tap.high_weight,
-                &blended,
-            );
+            add_scaled_row(&mut gx[tap.low * self.width..][..self.width], tap.low_weight, &blended);
+            add_scaled_row(&mut gx[tap.high * self.width..][..self.width], tap.high_weight, &blended);
         }
     }
 }
@@ -119,20 +99,17 @@ impl<'t, T: Scalar> Var<'t, T> {
         });
         let x = self.value();
         let mut y = self.tape().scratch(out_shape.len());
-        for_each_plane(&mut y, out_plane, |i, out| {
-            plan.forward_plane(&x.data()[i * plane..][..plane], out)
-        });
+        for_each_plane(&mut y, out_plane, |i, out| plan.forward_plane(&x.data()[i * plane..][..plane], out));
         let y = self.tape().tensor(out_shape, y);
-        self.tape()
-            .push("resize_bilinear", y, &[self], move |g, grads| {
-                if let Some(mut slot) = grads.slot(0) {
-                    slot.write(|gx| {
-                        for_each_plane(gx, plane, |i, out| {
-                            plan.backward_plane(&g.data()[i * out_plane..][..out_plane], out);
-                        });
+        self.tape().push("resize_bilinear", y, &[self], move |g, grads| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.write(|gx| {
+                    for_each_plane(gx, plane, |i, out| {
+                        plan.backward_plane(&g.data()[i * out_plane..][..out_plane], out);
                     });
-                }
-            })
+                });
+            }
+        })
     }
 }
 
@@ -143,11 +120,7 @@ mod tests {
     use crate::{Shape, Tape, Tensor};
 
     fn resized(x: Tensor<f64>, height: usize, width: usize, align: bool) -> Vec<f64> {
-        Tape::new()
-            .constant(x)
-            .resize_bilinear(height, width, align)
-            .value()
-            .to_vec()
+        Tape::new().constant(x).resize_bilinear(height, width, align).value().to_vec()
     }
 
     #[test]
@@ -161,9 +134,7 @@ mod tests {
     fn rows_and_columns_by_the_half_pixel_rule() {
         let x = tensor([1, 1, 2, 2], &[0.0, 4.0, 8.0, 20.0]);
         // Columns first: 0 1 3 4 and 8 11 17 20; then the rows in the ratios 1:0, 3:1, 1:3, 0:1.
-        let expected = [
-            0.0, 1.0, 3.0, 4.0, 2.0, 3.5, 6.5, 8.0, 6.0, 8.5, 13.5, 16.0, 8.0, 11.0, 17.0, 20.0,
-        ];
+        let expected = [0.0, 1.0, 3.0, 4.0, 2.0, 3.5, 6.5, 8.0, 6.0, 8.5, 13.5, 16.0, 8.0, 11.0, 17.0, 20.0];
         close(&resized(x, 4, 4, false), &expected);
     }
 
@@ -184,18 +155,12 @@ mod tests {
 
     #[test]
     fn transpose_and_finite_differences() {
-        for (sizes, (h, w)) in [
-            ([2, 2, 3, 5], (6, 10)),
-            ([1, 1, 5, 3], (2, 7)),
-            ([2, 1, 1, 4], (3, 1)),
-        ] {
+        for (sizes, (h, w)) in [([2, 2, 3, 5], (6, 10)), ([1, 1, 5, 3], (2, 7)), ([2, 1, 1, 4], (3, 1))] {
             for align in [false, true] {
                 check_adjoint(Shape(sizes), 9, |x| x.resize_bilinear(h, w, align));
             }
         }
-        check(&[noise(3, [1, 2, 3, 2])], |v| {
-            v[0].resize_bilinear(5, 4, false).square()
-        });
+        check(&[noise(3, [1, 2, 3, 2])], |v| v[0].resize_bilinear(5, 4, false).square());
     }
 
     #[test]

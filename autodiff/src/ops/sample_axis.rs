@@ -34,20 +34,12 @@ impl<T: Scalar> AxisTap<T> {
 
     #[inline(always)]
     fn constant(base: usize, weight: [T; 2]) -> Self {
-        Self {
-            base,
-            weight,
-            slope: [T::ZERO; 2],
-        }
+        Self { base, weight, slope: [T::ZERO; 2] }
     }
 
     #[inline(always)]
     fn inside(base: usize, part: T) -> Self {
-        Self {
-            base,
-            weight: [T::ONE - part, part],
-            slope: [-T::ONE, T::ONE],
-        }
+        Self { base, weight: [T::ONE - part, part], slope: [-T::ONE, T::ONE] }
     }
 
     #[inline(always)]
@@ -74,24 +66,12 @@ impl<T: Scalar> AxisTap<T> {
         } else if x >= last && x < last + T::ONE {
             let rest = T::ONE - (x - last);
             if size > 1 {
-                Self {
-                    base: size - 2,
-                    weight: [T::ZERO, rest],
-                    slope: [T::ZERO, -T::ONE],
-                }
+                Self { base: size - 2, weight: [T::ZERO, rest], slope: [T::ZERO, -T::ONE] }
             } else {
-                Self {
-                    base: 0,
-                    weight: [rest, T::ZERO],
-                    slope: [-T::ONE, T::ZERO],
-                }
+                Self { base: 0, weight: [rest, T::ZERO], slope: [-T::ONE, T::ZERO] }
             }
         } else if x < T::ZERO && x > -T::ONE {
-            Self {
-                base: 0,
-                weight: [T::ONE + x, T::ZERO],
-                slope: [T::ONE, T::ZERO],
-            }
+            Self { base: 0, weight: [T::ONE + x, T::ZERO], slope: [T::ONE, T::ZERO] }
         } else if x.is_nan() {
             Self::constant(0, [x; 2])
         } else {
@@ -140,10 +120,7 @@ mod tests {
         assert_eq!(zeros(3.25), (2, [0.0, 0.75], [0.0, -1.0]));
         assert_eq!(zeros(-1.0), (0, [0.0; 2], [0.0; 2]));
         assert_eq!(zeros(4.0), (0, [0.0; 2], [0.0; 2]));
-        assert_eq!(
-            at(0.25, 1, SamplePadding::Zeros),
-            (0, [0.75, 0.0], [-1.0, 0.0])
-        );
+        assert_eq!(at(0.25, 1, SamplePadding::Zeros), (0, [0.75, 0.0], [-1.0, 0.0]));
     }
 
     #[test]
@@ -156,10 +133,7 @@ mod tests {
         for padding in [SamplePadding::Border, SamplePadding::Zeros] {
             for joint in [-1.0, 0.0, 1.0, 2.0, 3.0] {
                 let (below, above) = (value(joint - 1e-9, padding), value(joint + 1e-9, padding));
-                assert!(
-                    (below - above).abs() < 1e-7,
-                    "{padding:?} at {joint}: {below} and {above}"
-                );
+                assert!((below - above).abs() < 1e-7, "{padding:?} at {joint}: {below} and {above}");
             }
         }
     }

@@ -17,12 +17,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// **Gradient**: `factor g`.
     pub fn scale(self, factor: f64) -> Var<'t, T> {
         let factor = T::from_f64(factor);
-        unary::keep_nothing(
-            "scale",
-            self,
-            |x, y| forward(x, factor, y),
-            move |g, out| backward(g, factor, out),
-        )
+        unary::keep_nothing("scale", self, |x, y| forward(x, factor, y), move |g, out| backward(g, factor, out))
     }
 }
 

@@ -14,21 +14,11 @@ fn forward<T: Scalar>(mask: &[T], a: &[T], b: &[T], y: &mut [T]) {
 }
 
 fn backward_a<T: Scalar>(mask: &[T], grad_y: &[T], grad_a: &mut [T]) {
-    kernel::zip(
-        grad_a,
-        mask,
-        grad_y,
-        |m, g| if m == T::ZERO { T::ZERO } else { g },
-    );
+    kernel::zip(grad_a, mask, grad_y, |m, g| if m == T::ZERO { T::ZERO } else { g });
 }
 
 fn backward_b<T: Scalar>(mask: &[T], grad_y: &[T], grad_b: &mut [T]) {
-    kernel::zip(
-        grad_b,
-        mask,
-        grad_y,
-        |m, g| if m == T::ZERO { g } else { T::ZERO },
-    );
+    kernel::zip(grad_b, mask, grad_y, |m, g| if m == T::ZERO { g } else { T::ZERO });
 }
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -42,12 +32,7 @@ impl<'t, T: Scalar> Var<'t, T> {
         assert_same("select", self.shape(), other.shape());
         assert_same("select (mask)", self.shape(), mask.shape());
         let mut y = self.tape().scratch(self.shape().len());
-        forward(
-            mask.data(),
-            self.value().data(),
-            other.value().data(),
-            &mut y,
-        );
+        forward(mask.data(), self.value().data(), other.value().data(), &mut y);
         let y = self.tape().tensor(self.shape(), y);
         let mask = mask.clone();
         let record = move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
@@ -73,10 +58,7 @@ mod tests {
     fn values_and_slopes_are_known() {
         let mask = row(&[1.0, 0.0, -0.5, -0.0]);
         let (a, b) = ([1.0, 2.0, 3.0, 4.0], [10.0, 20.0, 30.0, 40.0]);
-        close(
-            &values2(&a, &b, |a, b| a.select(&mask, b)),
-            &[1.0, 20.0, 3.0, 40.0],
-        );
+        close(&values2(&a, &b, |a, b| a.select(&mask, b)), &[1.0, 20.0, 3.0, 40.0]);
         let (to_a, to_b) = slopes2(&a, &b, |a, b| a.select(&mask, b));
         close(&to_a, &[1.0, 0.0, 1.0, 0.0]);
         close(&to_b, &[0.0, 1.0, 0.0, 1.0]);
@@ -85,9 +67,7 @@ mod tests {
     #[test]
     fn chosen_nan_shows_and_other_nan_does_not() {
         let mask = row(&[1.0, 0.0]);
-        let y = values2(&[f64::NAN, f64::NAN], &[7.0, 7.0], |a, b| {
-            a.select(&mask, b)
-        });
+        let y = values2(&[f64::NAN, f64::NAN], &[7.0, 7.0], |a, b| a.select(&mask, b));
         assert!(y[0].is_nan());
         close(&y[1..], &[7.0]);
     }
@@ -95,20 +75,14 @@ mod tests {
     #[test]
     fn constant_before_a_hazardous_operation_keeps_the_gradient_finite() {
         let mask = row(&[1.0, 0.0]);
-        let safe = slopes(&[4.0, 0.0], |x| {
-            x.select(&mask, x.tape().constant(row(&[1.0, 1.0]))).sqrt()
-        });
+        let safe = slopes(&[4.0, 0.0], |x| x.select(&mask, x.tape().constant(row(&[1.0, 1.0]))).sqrt());
         close(&safe, &[0.25, 0.0]);
-        let late = slopes(&[4.0, 0.0], |x| {
-            x.sqrt().select(&mask, x.tape().constant(row(&[1.0, 1.0])))
-        });
+        let late = slopes(&[4.0, 0.0], |x| x.sqrt().select(&mask, x.tape().constant(row(&[1.0, 1.0]))));
         assert!(late[1].is_nan());
     }
 
     #[test]
-    #[should_panic(
-        expected = "select (mask): operands must have equal shapes, got [2, 3, 1, 1] and [2, 1, 1, 1]"
-    )]
+    #[should_panic(expected = "select (mask): operands must have equal shapes, got [2, 3, 1, 1] and [2, 1, 1, 1]")]
     fn mask_of_another_shape_is_refused() {
         let tape = Tape::<f64>::new();
         let x = tape.leaf(Tensor::zeros(Shape::new(2, 3, 1, 1)));
@@ -117,13 +91,7 @@ mod tests {
 
     fn coin(seed: u64, shape: Shape) -> Tensor<f64> {
         let toss = random::<f64>(seed ^ 9, shape, 0.0, 1.0);
-        Tensor::from_vec(
-            shape,
-            toss.data()
-                .iter()
-                .map(|x| f64::from(u8::from(*x < 0.5)))
-                .collect(),
-        )
+        Tensor::from_vec(shape, toss.data().iter().map(|x| f64::from(u8::from(*x < 0.5))).collect())
     }
 
     proptest! {

@@ -35,14 +35,8 @@ mod tests {
     #[test]
     fn values_and_slopes_are_known() {
         let third = 3.0_f64.ln();
-        close(
-            &values(&[0.0, third, -third], |x| x.sigmoid()),
-            &[0.5, 0.75, 0.25],
-        );
-        close(
-            &slopes(&[0.0, third, -third], |x| x.sigmoid()),
-            &[0.25, 0.1875, 0.1875],
-        );
+        close(&values(&[0.0, third, -third], |x| x.sigmoid()), &[0.5, 0.75, 0.25]);
+        close(&slopes(&[0.0, third, -third], |x| x.sigmoid()), &[0.25, 0.1875, 0.1875]);
     }
 
     #[test]

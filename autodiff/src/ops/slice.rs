@@ -15,14 +15,7 @@ fn forward<T: Scalar>(x: &[T], shape: Shape, axis: usize, start: usize, len: usi
 }
 
 /// Adds, as the rest of `grad_x` stays what it is.
-fn backward<T: Scalar>(
-    grad_y: &[T],
-    shape: Shape,
-    axis: usize,
-    start: usize,
-    len: usize,
-    grad_x: &mut [T],
-) {
+fn backward<T: Scalar>(grad_y: &[T], shape: Shape, axis: usize, start: usize, len: usize, grad_x: &mut [T]) {
     let mut at = 0;
     for range in band(shape, axis, start, len) {
         let len = range.len();
@@ -51,16 +44,11 @@ impl<'t, T: Scalar> Var<'t, T> {
         let mut y = self.tape().scratch(part.len());
         forward(self.value().data(), shape, axis, start, len, &mut y);
         let y = self.tape().tensor(part, y);
-        self.tape().push(
-            "slice",
-            y,
-            &[self],
-            move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-                if let Some(mut slot) = grads.slot(0) {
-                    backward(g.data(), shape, axis, start, len, slot.as_mut_slice());
-                }
-            },
-        )
+        self.tape().push("slice", y, &[self], move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+            if let Some(mut slot) = grads.slot(0) {
+                backward(g.data(), shape, axis, start, len, slot.as_mut_slice());
+            }
+        })
     }
 }
 
@@ -74,50 +62,33 @@ mod tests {
     #[test]
     fn values_and_gradient_are_known() {
         let tape = Tape::new();
-        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 3, 1, 2), |n, c, _, w| {
-            (100 * n + 10 * c + w) as f64
-        }));
+        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 3, 1, 2), |n, c, _, w| (100 * n + 10 * c + w) as f64));
         let y = x.slice(1, 1, 1);
         assert_eq!(y.shape(), Shape::new(2, 1, 1, 2));
         close(y.value().data(), &[10.0, 11.0, 110.0, 111.0]);
         let grads = tape.backward(y.sum());
-        close(
-            grads.wrt(x).data(),
-            &[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0],
-        );
+        close(grads.wrt(x).data(), &[0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0]);
     }
 
     #[test]
     fn overlapping_slices_sum_their_gradients() {
         let tape = Tape::new();
-        let x = tape.leaf(Tensor::from_vec(
-            Shape::new(1, 1, 1, 3),
-            vec![1.0, 2.0, 4.0],
-        ));
+        let x = tape.leaf(Tensor::from_vec(Shape::new(1, 1, 1, 3), vec![1.0, 2.0, 4.0]));
         let steps = x.slice(3, 1, 2).sub(x.slice(3, 0, 2));
         close(steps.value().data(), &[1.0, 2.0]);
-        close(
-            tape.backward(steps.square().sum()).wrt(x).data(),
-            &[-2.0, -2.0, 4.0],
-        );
+        close(tape.backward(steps.square().sum()).wrt(x).data(), &[-2.0, -2.0, 4.0]);
     }
 
     #[test]
-    #[should_panic(
-        expected = "slice: start 2, length 2 on axis 1 of [1, 3, 1, 1]; the rule: start + length <= 3"
-    )]
+    #[should_panic(expected = "slice: start 2, length 2 on axis 1 of [1, 3, 1, 1]; the rule: start + length <= 3")]
     fn indices_beyond_the_axis_are_refused() {
-        Tape::<f64>::new()
-            .leaf(Tensor::zeros(Shape::new(1, 3, 1, 1)))
-            .slice(1, 2, 2);
+        Tape::<f64>::new().leaf(Tensor::zeros(Shape::new(1, 3, 1, 1))).slice(1, 2, 2);
     }
 
     #[test]
     #[should_panic(expected = "slice: axis 4 of shape [1, 3, 1, 1]")]
     fn fifth_axis_is_refused() {
-        Tape::<f64>::new()
-            .leaf(Tensor::zeros(Shape::new(1, 3, 1, 1)))
-            .slice(4, 0, 1);
+        Tape::<f64>::new().leaf(Tensor::zeros(Shape::new(1, 3, 1, 1))).slice(4, 0, 1);
     }
 
     /// A band inside an axis, from two numbers.

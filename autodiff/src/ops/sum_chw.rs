@@ -24,17 +24,12 @@ mod tests {
     #[test]
     fn values_and_gradient_are_known() {
         let tape = Tape::new();
-        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 3, 1, 2), |n, c, _, w| {
-            (100 * n + 10 * c + w) as f64
-        }));
+        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 3, 1, 2), |n, c, _, w| (100 * n + 10 * c + w) as f64));
         let y = x.sum_chw();
         assert_eq!(y.shape(), Shape::new(2, 1, 1, 1));
         close(y.value().data(), &[63.0, 663.0]);
         let weights = tape.constant(Tensor::from_vec(y.shape(), vec![2.0, 3.0]));
-        close(
-            tape.backward(y.mul(weights).sum()).wrt(x).data(),
-            &[2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0],
-        );
+        close(tape.backward(y.mul(weights).sum()).wrt(x).data(), &[2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 3.0, 3.0, 3.0, 3.0, 3.0, 3.0]);
     }
 
     proptest! {

@@ -26,31 +26,23 @@ mod tests {
     #[test]
     fn values_and_gradient_are_known() {
         let tape = Tape::new();
-        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 2, 1, 3), |n, c, _, w| {
-            (100 * n + 10 * c + w) as f64
-        }));
+        let x = tape.leaf(Tensor::from_fn(Shape::new(2, 2, 1, 3), |n, c, _, w| (100 * n + 10 * c + w) as f64));
         let y = x.sum_to(Shape::new(1, 2, 1, 1));
         close(y.value().data(), &[306.0, 366.0]);
         let weights = tape.constant(Tensor::from_vec(y.shape(), vec![2.0, 5.0]));
         let grads = tape.backward(y.mul(weights).sum());
-        close(
-            grads.wrt(x).data(),
-            &[2.0, 2.0, 2.0, 5.0, 5.0, 5.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0],
-        );
+        close(grads.wrt(x).data(), &[2.0, 2.0, 2.0, 5.0, 5.0, 5.0, 2.0, 2.0, 2.0, 5.0, 5.0, 5.0]);
     }
 
     #[test]
     #[should_panic(expected = "sum_to: [1, 2, 1, 1] does not go with [1, 3, 1, 1]")]
     fn neither_equal_nor_one_is_refused() {
         let tape = Tape::<f64>::new();
-        tape.leaf(Tensor::zeros(Shape::new(1, 3, 1, 1)))
-            .sum_to(Shape::new(1, 2, 1, 1));
+        tape.leaf(Tensor::zeros(Shape::new(1, 3, 1, 1))).sum_to(Shape::new(1, 2, 1, 1));
     }
 
     fn smaller(shape: Shape, keep: [bool; 4]) -> Shape {
-        Shape(std::array::from_fn(
-            |i| if keep[i] { shape.0[i] } else { 1 },
-        ))
+        Shape(std::array::from_fn(|i| if keep[i] { shape.0[i] } else { 1 }))
     }
 
     proptest! {

@@ -9,12 +9,7 @@ use crate::{GradCheck, Shape, Tape, Tensor, Var, gradcheck};
 
 /// Few cases with a fixed seed: the same shapes and values in every run.
 pub(crate) fn cases() -> ProptestConfig {
-    ProptestConfig {
-        cases: 24,
-        rng_seed: RngSeed::Fixed(20),
-        failure_persistence: None,
-        ..ProptestConfig::default()
-    }
+    ProptestConfig { cases: 24, rng_seed: RngSeed::Fixed(20), failure_persistence: None, ..ProptestConfig::default() }
 }
 
 /// Small shapes: odd, non-square, with axes of size one.
@@ -29,20 +24,8 @@ pub(crate) fn row(values: &[f64]) -> Tensor<f64> {
 
 /// Random values in `lo..hi`, moved out of the band of half width 0.05 around each kink.
 pub(crate) fn random_away(seed: u64, shape: Shape, lo: f64, hi: f64, kinks: &[f64]) -> Tensor<f64> {
-    let away = |x: f64| {
-        kinks.iter().fold(x, |x, &kink| {
-            if (x - kink).abs() < 0.05 {
-                kink + 0.1
-            } else {
-                x
-            }
-        })
-    };
-    let values = random::<f64>(seed, shape, lo, hi)
-        .to_vec()
-        .into_iter()
-        .map(away)
-        .collect();
+    let away = |x: f64| kinks.iter().fold(x, |x, &kink| if (x - kink).abs() < 0.05 { kink + 0.1 } else { x });
+    let values = random::<f64>(seed, shape, lo, hi).to_vec().into_iter().map(away).collect();
     Tensor::from_vec(shape, values)
 }
 
@@ -61,11 +44,7 @@ pub(crate) fn slopes(x: &[f64], op: impl for<'t> Fn(Var<'t, f64>) -> Var<'t, f64
 }
 
 /// The values of a two-operand operation on row vectors.
-pub(crate) fn values2(
-    a: &[f64],
-    b: &[f64],
-    op: impl for<'t> Fn(Var<'t, f64>, Var<'t, f64>) -> Var<'t, f64>,
-) -> Vec<f64> {
+pub(crate) fn values2(a: &[f64], b: &[f64], op: impl for<'t> Fn(Var<'t, f64>, Var<'t, f64>) -> Var<'t, f64>) -> Vec<f64> {
     let tape = Tape::new();
     op(tape.leaf(row(a)), tape.leaf(row(b))).value().to_vec()
 }
@@ -85,38 +64,22 @@ pub(crate) fn slopes2(
 /// Panics unless the slices agree to 1e-12 (relative above one); infinities must be equal.
 #[track_caller]
 pub(crate) fn close(got: &[f64], want: &[f64]) {
-    assert_eq!(
-        got.len(),
-        want.len(),
-        "lengths differ: {got:?} against {want:?}"
-    );
+    assert_eq!(got.len(), want.len(), "lengths differ: {got:?} against {want:?}");
     for (i, (&a, &b)) in got.iter().zip(want).enumerate() {
         let fine = a == b || (a - b).abs() <= 1e-12 * b.abs().max(1.0);
-        assert!(
-            fine,
-            "entry {i}: {a} against {b}; all: {got:?} against {want:?}"
-        );
+        assert!(fine, "entry {i}: {a} against {b}; all: {got:?} against {want:?}");
     }
 }
 
 /// Compares the gradient of the weighted sum of `op` with central differences.
 #[track_caller]
 pub(crate) fn check(inputs: &[Tensor<f64>], op: impl for<'t> Fn(&[Var<'t, f64>]) -> Var<'t, f64>) {
-    gradcheck(
-        inputs,
-        |_, vars| weighted_sum(op(vars), 7),
-        GradCheck::default(),
-    )
-    .assert_ok();
+    gradcheck(inputs, |_, vars| weighted_sum(op(vars), 7), GradCheck::default()).assert_ok();
 }
 
 /// The adjoint law of a linear operation: `<J v, w> = <v, J' w>` for random `v` and `w`.
 #[track_caller]
-pub(crate) fn check_adjoint(
-    shape: Shape,
-    seed: u64,
-    op: impl for<'t> Fn(Var<'t, f64>) -> Var<'t, f64>,
-) {
+pub(crate) fn check_adjoint(shape: Shape, seed: u64, op: impl for<'t> Fn(Var<'t, f64>) -> Var<'t, f64>) {
     let tape = Tape::new();
     let v = tape.leaf(random(seed, shape, -1.0, 1.0));
     let y = op(v);
@@ -125,10 +88,7 @@ pub(crate) fn check_adjoint(
     let grads = tape.backward(y.mul(tape.constant(w)).sum());
     let backward = dot(&v.value(), &grads.wrt(v));
     let tolerance = 1e-12 * shape.len().max(y.shape().len()) as f64;
-    assert!(
-        (forward - backward).abs() <= tolerance,
-        "<Jv,w> = {forward}, <v,J'w> = {backward}"
-    );
+    assert!((forward - backward).abs() <= tolerance, "<Jv,w> = {forward}, <v,J'w> = {backward}");
 }
 
 fn dot(a: &Tensor<f64>, b: &Tensor<f64>) -> f64 {

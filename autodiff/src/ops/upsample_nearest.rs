@@ -34,10 +34,7 @@ fn sum_cells<T: Scalar>(x: &[T], out: &mut [T], factor: usize) {
 
 fn forward_plane<T: Scalar>(x: &[T], y: &mut [T], width: usize, factor: usize) {
     let out_width = width * factor;
-    for (row, block) in x
-        .chunks_exact(width)
-        .zip(y.chunks_exact_mut(out_width * factor))
-    {
+    for (row, block) in x.chunks_exact(width).zip(y.chunks_exact_mut(out_width * factor)) {
         let (first, others) = block.split_at_mut(out_width);
         repeat_row(row, first, factor);
         for other in others.chunks_exact_mut(out_width) {
@@ -49,10 +46,7 @@ fn forward_plane<T: Scalar>(x: &[T], y: &mut [T], width: usize, factor: usize) {
 fn backward_plane<T: Scalar>(g: &[T], gx: &mut [T], width: usize, factor: usize) {
     let out_width = width * factor;
     let mut column = vec![T::ZERO; out_width];
-    for (block, row) in g
-        .chunks_exact(out_width * factor)
-        .zip(gx.chunks_exact_mut(width))
-    {
+    for (block, row) in g.chunks_exact(out_width * factor).zip(gx.chunks_exact_mut(width)) {
         let (first, others) = block.split_at(out_width);
         column.copy_from_slice(first);
         for other in others.chunks_exact(out_width) {
@@ -70,10 +64,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     #[track_caller]
     pub fn upsample_nearest(self, factor: usize) -> Var<'t, T> {
         let shape = self.shape();
-        assert!(
-            factor >= 1,
-            "upsample_nearest: input {shape}, factor {factor}: the factor must be at least 1"
-        );
+        assert!(factor >= 1, "upsample_nearest: input {shape}, factor {factor}: the factor must be at least 1");
         let out_shape = shape.with_plane(shape.h() * factor, shape.w() * factor);
         let (plane, out_plane, width) = (shape.plane(), out_shape.plane(), shape.w());
         let x = self.value();
@@ -82,21 +73,15 @@ impl<'t, T: Scalar> Var<'t, T> {
             forward_plane(&x.data()[i * plane..][..plane], out, width, factor);
         });
         let y = self.tape().tensor(out_shape, y);
-        self.tape()
-            .push("upsample_nearest", y, &[self], move |g, grads| {
-                if let Some(mut slot) = grads.slot(0) {
-                    slot.write(|gx| {
-                        for_each_plane(gx, plane, |i, out| {
-                            backward_plane(
-                                &g.data()[i * out_plane..][..out_plane],
-                                out,
-                                width,
-                                factor,
-                            );
-                        });
+        self.tape().push("upsample_nearest", y, &[self], move |g, grads| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.write(|gx| {
+                    for_each_plane(gx, plane, |i, out| {
+                        backward_plane(&g.data()[i * out_plane..][..out_plane], out, width, factor);
                     });
-                }
-            })
+                });
+            }
+        })
     }
 }
 
@@ -118,28 +103,17 @@ mod tests {
 
     #[test]
     fn transpose_and_finite_differences() {
-        for (sizes, factor) in [
-            ([2, 3, 3, 5], 2),
-            ([1, 2, 1, 4], 3),
-            ([2, 1, 1, 1], 8),
-            ([1, 1, 4, 3], 1),
-        ] {
+        for (sizes, factor) in [([2, 3, 3, 5], 2), ([1, 2, 1, 4], 3), ([2, 1, 1, 1], 8), ([1, 1, 4, 3], 1)] {
             check_adjoint(Shape(sizes), 7, |x| x.upsample_nearest(factor));
         }
-        check(&[noise(8, [2, 1, 3, 2])], |v| {
-            v[0].upsample_nearest(2).square()
-        });
+        check(&[noise(8, [2, 1, 3, 2])], |v| v[0].upsample_nearest(2).square());
     }
 
     #[test]
     fn pooling_undoes_it() {
         let tape = Tape::new();
         let x = noise(9, [2, 2, 3, 4]);
-        let y = tape
-            .constant(x.clone())
-            .upsample_nearest(3)
-            .avg_pool2d(3, 3, 0)
-            .value();
+        let y = tape.constant(x.clone()).upsample_nearest(3).avg_pool2d(3, 3, 0).value();
         close(y.data(), x.data());
     }
 

@@ -62,12 +62,7 @@ mod tests {
     fn depth_gradient_vanishes_at_the_focus_not_at_the_principal_point() {
         let (camera, t) = (testing::kitti640(), Vector3::new(0.3, 0.0, -0.8));
         let focus = focus_of_expansion(&camera, &t).unwrap();
-        let at = |p| {
-            translational_gradients(&camera, &t, &p, 12.5)
-                .unwrap()
-                .z
-                .norm()
-        };
+        let at = |p| translational_gradients(&camera, &t, &p, 12.5).unwrap().z.norm();
         assert!((focus.x - (320.0 - 139.2)).abs() < 1e-9);
         assert!(at(focus) < 1e-12);
         assert!((at(camera.principal_point()) - 0.8135).abs() < 1e-4);

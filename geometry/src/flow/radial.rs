@@ -9,12 +9,7 @@ use crate::camera::Intrinsics;
 /// **Formula** (eq. `radial_flow`): `f = -t_z / (z + t_z) (p - p0)`: toward the principal point for
 /// `t_z > 0`, away from it for `t_z < 0`, zero at it.
 #[must_use]
-pub fn radial_flow(
-    camera: &Intrinsics,
-    t_z: f64,
-    p: &Vector2<f64>,
-    z: f64,
-) -> Option<Vector2<f64>> {
+pub fn radial_flow(camera: &Intrinsics, t_z: f64, p: &Vector2<f64>, z: f64) -> Option<Vector2<f64>> {
     let source_depth = z + t_z;
     (source_depth > 0.0).then(|| (p - camera.principal_point()) * (-t_z / source_depth))
 }
@@ -38,18 +33,12 @@ mod tests {
     #[test]
     fn reference_values() {
         let (camera, p) = (testing::kitti640(), Vector2::new(451.0, 63.0));
-        for (t_z, expected) in [
-            (0.6, Vector2::new(-6.0, 1.51145038168)),
-            (-0.8, Vector2::new(8.95726495726, -2.25641025641)),
-        ] {
+        for (t_z, expected) in [(0.6, Vector2::new(-6.0, 1.51145038168)), (-0.8, Vector2::new(8.95726495726, -2.25641025641))] {
             assert!((radial_flow(&camera, t_z, &p, 12.5).unwrap() - expected).norm() < 1e-10);
         }
         assert!((scale_change(5.0, -0.8) - 1.0 - 0.190476190476).abs() < 1e-12);
         assert!(radial_flow(&camera, -12.5, &p, 12.5).is_none());
-        assert_eq!(
-            radial_flow(&camera, 3.0, &camera.principal_point(), 9.0),
-            Some(Vector2::zeros())
-        );
+        assert_eq!(radial_flow(&camera, 3.0, &camera.principal_point(), 9.0), Some(Vector2::zeros()));
     }
 
     proptest! {

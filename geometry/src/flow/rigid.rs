@@ -13,12 +13,7 @@ use crate::se3::Se3;
 /// **Reading**: the division is by the transformed depth `z_s`, not by a predicted source depth.
 /// `None` unless `z_s > 0`.
 #[must_use]
-pub fn rigid_flow(
-    camera: &Intrinsics,
-    source_from_target: &Se3,
-    p: &Vector2<f64>,
-    z: f64,
-) -> Option<(Vector2<f64>, f64)> {
+pub fn rigid_flow(camera: &Intrinsics, source_from_target: &Se3, p: &Vector2<f64>, z: f64) -> Option<(Vector2<f64>, f64)> {
     let point = source_from_target.transform(&(camera.ray(p.x, p.y) * z));
     let pixel = camera.project(&point)?;
     Some((pixel - p, point.z))
@@ -37,8 +32,7 @@ pub fn rigid_flow_by_parts(
 ) -> Option<(Vector2<f64>, Vector2<f64>)> {
     let h = rotation_homography(camera, &source_from_target.rotation);
     let (rotated, ratio) = transfer(&h, p)?;
-    let translational =
-        translational_flow(camera, &source_from_target.translation, &rotated, z * ratio)?;
+    let translational = translational_flow(camera, &source_from_target.translation, &rotated, z * ratio)?;
     Some((rotated - p, translational))
 }
 
@@ -52,17 +46,11 @@ mod tests {
     #[test]
     fn reference_values() {
         let (camera, p) = (testing::kitti640(), Vector2::new(451.0, 63.0));
-        let motion = Se3::from_rotation_vector(
-            &Vector3::new(0.02, -0.03, 0.01),
-            Vector3::new(0.3, -0.1, 0.6),
-        );
+        let motion = Se3::from_rotation_vector(&Vector3::new(0.02, -0.03, 0.01), Vector3::new(0.3, -0.1, 0.6));
         let (flow, z_s) = rigid_flow(&camera, &motion, &p, 12.5).unwrap();
         assert!((flow + p - Vector2::new(442.221149965, 56.1345809123)).norm() < 1e-8);
         assert!((z_s - 13.2024207032).abs() < 1e-9);
-        let motion = Se3::from_rotation_vector(
-            &Vector3::new(0.03, -0.05, 0.02),
-            Vector3::new(0.3, -0.1, 0.6),
-        );
+        let motion = Se3::from_rotation_vector(&Vector3::new(0.03, -0.05, 0.02), Vector3::new(0.3, -0.1, 0.6));
         let (flow, _) = rigid_flow(&camera, &motion, &p, 12.5).unwrap();
         assert!((flow - Vector2::new(-16.0849042832, -9.07775325806)).norm() < 1e-8);
         assert!(rigid_flow(&camera, &motion, &p, -12.5).is_none());
@@ -72,10 +60,7 @@ mod tests {
     fn translation_comes_off_first() {
         // What is left after subtracting t from the source point is the pure homography flow.
         let (camera, p) = (testing::kitti640(), Vector2::new(451.0, 63.0));
-        let motion = Se3::from_rotation_vector(
-            &Vector3::new(0.03, -0.05, 0.02),
-            Vector3::new(0.06, 0.04, -0.08),
-        );
+        let motion = Se3::from_rotation_vector(&Vector3::new(0.03, -0.05, 0.02), Vector3::new(0.06, 0.04, -0.08));
         let point = motion.transform(&(camera.ray(p.x, p.y) * 12.5)) - motion.translation;
         let pixel = camera.project(&point).unwrap();
         assert!((pixel - Vector2::new(431.567088882, 54.8393440356)).norm() < 1e-8);

@@ -20,11 +20,7 @@ pub fn quadratic_terms(homography: &Matrix3<f64>, p: &Vector2<f64>) -> Vector2<f
 /// **Formula** (eq. `rotational_flow`): `f_k = [p~^T (-h_3 i_k^T) p~ + h_k p~] / (h_3 p~)`.
 /// `None` where `h_3 p~ <= 0`: the point turns out of the front of the camera.
 #[must_use]
-pub fn rotational_flow(
-    camera: &Intrinsics,
-    rotation: &Matrix3<f64>,
-    p: &Vector2<f64>,
-) -> Option<Vector2<f64>> {
+pub fn rotational_flow(camera: &Intrinsics, rotation: &Matrix3<f64>, p: &Vector2<f64>) -> Option<Vector2<f64>> {
     let h = rotation_homography(camera, rotation);
     let image = h * Vector3::new(p.x, p.y, 1.0);
     let linear = Vector2::new(image.x, image.y);
@@ -36,11 +32,7 @@ pub fn rotational_flow(
 /// **Formula**: `f_u (w_y (1 + x^2) - w_x x y - w_z y)`, `f_v (-w_x (1 + y^2) + w_y x y + w_z x)`
 /// with the viewing ray `(x, y, 1)`.
 #[must_use]
-pub fn rotational_flow_first_order(
-    camera: &Intrinsics,
-    omega: &Vector3<f64>,
-    p: &Vector2<f64>,
-) -> Vector2<f64> {
+pub fn rotational_flow_first_order(camera: &Intrinsics, omega: &Vector3<f64>, p: &Vector2<f64>) -> Vector2<f64> {
     let ray = camera.ray(p.x, p.y);
     let (x, y) = (ray.x, ray.y);
     Vector2::new(
@@ -60,17 +52,12 @@ mod tests {
     #[test]
     fn reference_values() {
         let camera = testing::kitti640();
-        let flow =
-            |w: [f64; 3], p| rotational_flow(&camera, &so3::exp(&Vector3::from(w)), &p).unwrap();
+        let flow = |w: [f64; 3], p| rotational_flow(&camera, &so3::exp(&Vector3::from(w)), &p).unwrap();
         let near = |a: Vector2<f64>, x, y| assert!((a - Vector2::new(x, y)).norm() < 1e-9, "{a}");
         near(flow([0.03, -0.05, 0.02], P), -19.4329111175, -8.16065596442);
         near(flow([0.0, 0.0, 0.05], P), 1.4970502573, 6.54335898712);
         let yaw = [0.0, 1f64.to_radians(), 0.0];
-        for (u, expected) in [
-            (8.0, 10.8968890606),
-            (320.0, 6.47932010135),
-            (632.0, 11.2213926313),
-        ] {
+        for (u, expected) in [(8.0, 10.8968890606), (320.0, 6.47932010135), (632.0, 11.2213926313)] {
             assert!((flow(yaw, Vector2::new(u, 96.0)).x - expected).abs() < 1e-9);
         }
     }
@@ -87,8 +74,7 @@ mod tests {
     fn roll_is_affine_and_yaw_is_not() {
         let camera = testing::kitti640();
         let bend = |w: Vector3<f64>| {
-            let f =
-                |u: f64| rotational_flow(&camera, &so3::exp(&w), &Vector2::new(u, 40.0)).unwrap();
+            let f = |u: f64| rotational_flow(&camera, &so3::exp(&w), &Vector2::new(u, 40.0)).unwrap();
             (f(100.0) - f(300.0) * 2.0 + f(500.0)).norm()
         };
         assert!(bend(Vector3::new(0.0, 0.0, 0.1)) < 1e-10);

@@ -11,12 +11,7 @@ use crate::camera::Intrinsics;
 /// **Reading**: not the sum of the tangential and the radial flow; the tangential one is multiplied by
 /// `z / (z + t_z)` first.
 #[must_use]
-pub fn translational_flow(
-    camera: &Intrinsics,
-    t: &Vector3<f64>,
-    p: &Vector2<f64>,
-    z: f64,
-) -> Option<Vector2<f64>> {
+pub fn translational_flow(camera: &Intrinsics, t: &Vector3<f64>, p: &Vector2<f64>, z: f64) -> Option<Vector2<f64>> {
     let source_depth = z + t.z;
     let d = p - camera.principal_point();
     (source_depth > 0.0).then(|| (focal_scaled(camera, t) - d * t.z) / source_depth)
@@ -38,11 +33,7 @@ mod tests {
 
     #[test]
     fn reference_values() {
-        let (camera, t, p) = (
-            testing::kitti640(),
-            Vector3::new(0.3, -0.1, 0.6),
-            Vector2::new(451.0, 63.0),
-        );
+        let (camera, t, p) = (testing::kitti640(), Vector3::new(0.3, -0.1, 0.6), Vector2::new(451.0, 63.0));
         let flow = translational_flow(&camera, &t, &p, 12.5).unwrap();
         assert!((flow - Vector2::new(2.50076335878, -1.30259541985)).norm() < 1e-10);
         let sum = tangential_flow(&camera, &t, 12.5) + radial_flow(&camera, 0.6, &p, 12.5).unwrap();

@@ -5,12 +5,7 @@ use nalgebra::Vector2;
 use super::mean;
 
 fn angles(flows: &[Vector2<f64>], d: &[Vector2<f64>], cosine: impl Fn(f64) -> f64) -> f64 {
-    mean(
-        flows
-            .iter()
-            .zip(d)
-            .map(|(f, d)| f.perp(d).abs().atan2(cosine(f.dot(d)))),
-    )
+    mean(flows.iter().zip(d).map(|(f, d)| f.perp(d).abs().atan2(cosine(f.dot(d)))))
 }
 
 /// Eq. `la` as printed: mean angle between flow and `d`, radians in `[0, pi]`.
@@ -56,23 +51,11 @@ mod tests {
         let (mut flows, mut d) = (Vec::new(), Vec::new());
         for (p, &z) in scene.pixels.iter().zip(&scene.depths) {
             let (flow, source_depth) = rigid_flow(&scene.camera, motion, p, z).unwrap();
-            let m = Match {
-                target: *p,
-                source: p + flow,
-                source_depth,
-            };
-            flows.push(
-                alignment::axial(&scene.camera, &motion.rotation, &a, &m)
-                    .unwrap()
-                    .flow,
-            );
+            let m = Match { target: *p, source: p + flow, source_depth };
+            flows.push(alignment::axial(&scene.camera, &motion.rotation, &a, &m).unwrap().flow);
             d.push(p - scene.camera.principal_point());
         }
-        [
-            printed(&flows, &d),
-            pose_sign(&flows, &d, a_z),
-            folded(&flows, &d),
-        ]
+        [printed(&flows, &d), pose_sign(&flows, &d, a_z), folded(&flows, &d)]
     }
 
     #[test]
@@ -84,10 +67,7 @@ mod tests {
         ] {
             let values = sweep(&testing::drive_next(), error);
             for (value, expected) in values.into_iter().zip(expected) {
-                assert!(
-                    (value - expected).abs() < 1e-9,
-                    "{error}: {value} {expected}"
-                );
+                assert!((value - expected).abs() < 1e-9, "{error}: {value} {expected}");
             }
         }
     }
@@ -95,10 +75,7 @@ mod tests {
     #[test]
     fn printed_form_is_worst_at_the_truth_of_a_backward_source() {
         let motion = testing::drive_prev();
-        let values: Vec<_> = [0.0, 0.01, 0.1]
-            .iter()
-            .map(|&e| sweep(&motion, e))
-            .collect();
+        let values: Vec<_> = [0.0, 0.01, 0.1].iter().map(|&e| sweep(&motion, e)).collect();
         assert!((values[0][0] - std::f64::consts::PI).abs() < 1e-9);
         assert!((values[2][0] - 2.93530112755).abs() < 1e-9);
         assert!(values[0][0] > values[1][0] && values[1][0] > values[2][0]);

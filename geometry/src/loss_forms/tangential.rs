@@ -11,22 +11,11 @@ use crate::ratios::{inverse_tangential_ratios, tangential_ratios};
 ///
 /// Not finite when a translation component or a flow component is zero.
 #[must_use]
-pub fn printed(
-    camera: &Intrinsics,
-    flows: &[Vector2<f64>],
-    depths: &[f64],
-    a: &Vector3<f64>,
-) -> f64 {
+pub fn printed(camera: &Intrinsics, flows: &[Vector2<f64>], depths: &[f64], a: &Vector3<f64>) -> f64 {
     (0..2)
         .map(|k| {
-            let ratios: Vec<_> = flows
-                .iter()
-                .map(|f| tangential_ratios(camera, f)[k])
-                .collect();
-            let inverse: Vec<_> = flows
-                .iter()
-                .map(|f| inverse_tangential_ratios(camera, f)[k])
-                .collect();
+            let ratios: Vec<_> = flows.iter().map(|f| tangential_ratios(camera, f)[k]).collect();
+            let inverse: Vec<_> = flows.iter().map(|f| inverse_tangential_ratios(camera, f)[k]).collect();
             pixel_term(&ratios, depths, a[k]) + aggregate_term(&inverse, depths, a[k])
         })
         .sum()
@@ -34,37 +23,16 @@ pub fn printed(
 
 /// `sum_k E[|z/rho_k - a_k|] / |a|`, k = x, y: linear in the flow, no small denominators.
 #[must_use]
-pub fn inverse_ratio(
-    camera: &Intrinsics,
-    flows: &[Vector2<f64>],
-    depths: &[f64],
-    a: &Vector3<f64>,
-) -> f64 {
-    let residual = |k: usize| {
-        mean(
-            flows
-                .iter()
-                .zip(depths)
-                .map(|(f, z)| (inverse_tangential_ratios(camera, f)[k] * z - a[k]).abs()),
-        )
-    };
+pub fn inverse_ratio(camera: &Intrinsics, flows: &[Vector2<f64>], depths: &[f64], a: &Vector3<f64>) -> f64 {
+    let residual =
+        |k: usize| mean(flows.iter().zip(depths).map(|(f, z)| (inverse_tangential_ratios(camera, f)[k] * z - a[k]).abs()));
     (residual(0) + residual(1)) / a.norm()
 }
 
 /// The same equation in the image: `E[|f_pla - (f o a_tan) / z|]`, pixels.
 #[must_use]
-pub fn flow_pixels(
-    camera: &Intrinsics,
-    flows: &[Vector2<f64>],
-    depths: &[f64],
-    a: &Vector3<f64>,
-) -> f64 {
-    mean(
-        flows
-            .iter()
-            .zip(depths)
-            .map(|(f, &z)| (f - tangential_flow(camera, a, z)).norm()),
-    )
+pub fn flow_pixels(camera: &Intrinsics, flows: &[Vector2<f64>], depths: &[f64], a: &Vector3<f64>) -> f64 {
+    mean(flows.iter().zip(depths).map(|(f, &z)| (f - tangential_flow(camera, a, z)).norm()))
 }
 
 #[cfg(test)]
@@ -75,17 +43,9 @@ mod tests {
     #[test]
     fn a_signed_depth_error_shows_in_both_terms() {
         let (scene, a) = (testing::room(), Vector3::new(0.06, 0.04, -0.08));
-        let flows: Vec<_> = scene
-            .depths
-            .iter()
-            .map(|&z| tangential_flow(&scene.camera, &a, z))
-            .collect();
-        let off: Vec<_> = scene
-            .pixels
-            .iter()
-            .zip(&scene.depths)
-            .map(|(p, z)| z * (1.02 + 0.1 * (0.05 * p.x + 0.03 * p.y).sin()))
-            .collect();
+        let flows: Vec<_> = scene.depths.iter().map(|&z| tangential_flow(&scene.camera, &a, z)).collect();
+        let off: Vec<_> =
+            scene.pixels.iter().zip(&scene.depths).map(|(p, z)| z * (1.02 + 0.1 * (0.05 * p.x + 0.03 * p.y).sin())).collect();
         let expected = 2.0 * (0.0629791460404 + 0.020396160715);
         assert!((printed(&scene.camera, &flows, &off, &a) - expected).abs() < 1e-10);
         for form in [printed, inverse_ratio, flow_pixels] {

@@ -38,23 +38,17 @@ pub fn axial<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) ->
 /// `-sign(a_z)` at every pixel, without gradient.
 fn pose_sign<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Var<'t, T> {
     let a = pair.translation.value();
-    let sign = Tensor::from_fn(pair.map_shape(), |n, _, _, _| {
-        if a.at(n, 2, 0, 0) > T::ZERO {
-            -T::ONE
-        } else {
-            T::ONE
-        }
-    });
+    let sign = Tensor::from_fn(pair.map_shape(), |n, _, _, _| if a.at(n, 2, 0, 0) > T::ZERO { -T::ONE } else { T::ONE });
     pair.constant(&sign)
 }
 
 /// Pixels at least `q_min` from the principal point with axial flow longer than `tau_f`.
 fn directed<T: Scalar>(pair: &AlignedPair<'_, T>, q_min: f64, tau_f: f64) -> Tensor<T> {
-    let flow = pair.axial_flow.value();
+    let (flow, radius) = (pair.axial_flow.value(), pair.radius.clone());
     masks::and_where(&pair.mask, |n, i| {
-        let (u, v) = (flow.plane(n, 0)[i].to_f64(), flow.plane(n, 1)[i].to_f64());
-        let radius = pair.radius_squared(n, i).sqrt();
-        radius > 0.0 && radius >= q_min && u.hypot(v) > tau_f
+        let part = |c| flow.plane(n, c)[i].to_f64();
+        let r = radius.plane(n, 0)[i].to_f64();
+        r > 0.0 && r >= q_min && part(0) * part(0) + part(1) * part(1) > tau_f * tau_f
     })
 }
 
@@ -63,7 +57,7 @@ fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> (Var<'t, T>, Tensor<T>) 
     let part = |c| pair.keep(pair.axial_flow.slice(1, c, 1), &mask, 1.0);
     let (u, v) = (part(0), part(1));
     let (d_u, d_v) = (pair.constant(&pair.d_u), pair.constant(&pair.d_v));
-    let sizes = length(u, v, 0.0).mul(pair.constant(&pair.radius(1e-12)));
+    let sizes = length(u, v, 0.0).mul(pair.constant(&pair.radius_from(1e-12)));
     let cosine = u.mul(d_u).add(v.mul(d_v)).div(sizes).clamp(-1.0, 1.0);
     // Outside the mask the angle takes the constant cosine 0.5: no infinite derivative.
     let angle = pair.keep(cosine, &mask, 0.5).acos();
@@ -82,18 +76,12 @@ fn angle<'t, T: Scalar>(
     (across.atan2(along).masked_mean(&mask), mask)
 }
 
-fn perpendicular<'t, T: Scalar>(
-    pair: &AlignedPair<'t, T>,
-    options: &LossOptions,
-) -> (Var<'t, T>, Tensor<T>) {
+fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> (Var<'t, T>, Tensor<T>) {
     let q_min = options.q_min.max(1e-6);
-    let mask = masks::and_where(&pair.mask, |n, i| pair.radius_squared(n, i) > q_min * q_min);
-    let distance = pair
-        .axial_products(&mask)
-        .across
-        .div(pair.constant(&pair.radius(q_min)));
-    (
-        soft_abs(distance, options.smooth_px).masked_mean(&mask),
-        mask,
-    )
+    let mask = {
+        let radius = pair.radius.clone();
+        masks::and_where(&pair.mask, move |n, i| radius.plane(n, 0)[i].to_f64() > q_min)
+    };
+    let distance = pair.axial_products(&mask).across.div(pair.constant(&pair.radius_from(q_min)));
+    (soft_abs(distance, options.smooth_px).masked_mean(&mask), mask)
 }

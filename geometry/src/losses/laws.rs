@@ -18,10 +18,7 @@ const W: usize = 14;
 type Leaves = [Tensor<f64>; 5];
 
 fn cameras() -> [Intrinsics; 2] {
-    [
-        Intrinsics::new(20.0, 21.0, 6.3, 4.2, W, H).unwrap(),
-        Intrinsics::new(18.0, 17.0, 7.1, 3.6, W, H).unwrap(),
-    ]
+    [Intrinsics::new(20.0, 21.0, 6.3, 4.2, W, H).unwrap(), Intrinsics::new(18.0, 17.0, 7.1, 3.6, W, H).unwrap()]
 }
 
 fn shape(c: usize) -> Shape {
@@ -30,10 +27,7 @@ fn shape(c: usize) -> Shape {
 
 fn motions(radial: [f64; 2]) -> [Se3; 2] {
     let motion = |w: [f64; 3], t: [f64; 3]| Se3::from_rotation_vector(&w.into(), t.into());
-    [
-        motion([0.02, -0.04, 0.03], [0.35, -0.25, radial[0]]),
-        motion([-0.03, 0.02, 0.01], [-0.3, 0.4, radial[1]]),
-    ]
+    [motion([0.02, -0.04, 0.03], [0.35, -0.25, radial[0]]), motion([-0.03, 0.02, 0.01], [-0.3, 0.4, radial[1]])]
 }
 
 /// A static scene seen without error.
@@ -41,21 +35,10 @@ fn exact(motions: [Se3; 2]) -> Leaves {
     let tape = Tape::new();
     let depth = random(7, shape(1), 3.0, 8.0);
     let (r, t) = pose_tensors(&motions);
-    let rigid = rigid_flow(
-        tape.constant(depth.clone()),
-        tape.constant(r),
-        tape.constant(t.clone()),
-        &cameras(),
-    );
+    let rigid = rigid_flow(tape.constant(depth.clone()), tape.constant(r), tape.constant(t.clone()), &cameras());
     let w = motions.map(|m| so3::log(&m.rotation));
     let w = Tensor::from_fn(Shape::new(2, 3, 1, 1), |n, i, _, _| w[n][i]);
-    [
-        depth,
-        rigid.slice(1, 2, 1).value(),
-        rigid.slice(1, 0, 2).value(),
-        w,
-        t,
-    ]
+    [depth, rigid.slice(1, 2, 1).value(), rigid.slice(1, 0, 2).value(), w, t]
 }
 
 /// The scene with errors everywhere.
@@ -63,29 +46,12 @@ fn perturbed(motions: [Se3; 2]) -> Leaves {
     let [depth, source, flow, w, t] = exact(motions);
     let bend = |x: &Tensor<f64>, seed, size: f64| {
         let noise = random::<f64>(seed, x.shape(), 1.0 - size, 1.0 + size);
-        Tensor::from_vec(
-            x.shape(),
-            x.data()
-                .iter()
-                .zip(noise.data())
-                .map(|(x, n)| x * n)
-                .collect(),
-        )
+        Tensor::from_vec(x.shape(), x.data().iter().zip(noise.data()).map(|(x, n)| x * n).collect())
     };
-    [
-        bend(&depth, 1, 0.1),
-        bend(&source, 2, 0.1),
-        bend(&flow, 3, 0.2),
-        bend(&w, 4, 0.2),
-        bend(&t, 5, 0.2),
-    ]
+    [bend(&depth, 1, 0.1), bend(&source, 2, 0.1), bend(&flow, 3, 0.2), bend(&w, 4, 0.2), bend(&t, 5, 0.2)]
 }
 
-fn pair_of<'t>(
-    v: &[Var<'t, f64>],
-    mask: &Tensor<f64>,
-    options: &LossOptions,
-) -> AlignedPair<'t, f64> {
+fn pair_of<'t>(v: &[Var<'t, f64>], mask: &Tensor<f64>, options: &LossOptions) -> AlignedPair<'t, f64> {
     let inputs = PairInputs {
         target_depth: v[0],
         source_depth: v[1],
@@ -116,22 +82,12 @@ fn values(leaves: &Leaves, options: &LossOptions) -> [Vec<f64>; 4] {
 
 /// Every variant at least once, all with the exact convention.
 fn presets() -> Vec<LossOptions> {
-    let base = LossOptions {
-        convention: Convention::Consistent,
-        gate: 50.0,
-        ..LossOptions::robust()
-    };
-    let literal = LossOptions {
-        convention: Convention::Consistent,
-        ..LossOptions::literal()
-    };
+    let base = LossOptions { convention: Convention::Consistent, gate: 50.0, ..LossOptions::robust() };
+    let literal = LossOptions { convention: Convention::Consistent, ..LossOptions::literal() };
     vec![
         literal,
         base,
-        LossOptions {
-            smooth_px: 0.05,
-            ..LossOptions::pixels()
-        },
+        LossOptions { smooth_px: 0.05, ..LossOptions::pixels() },
         LossOptions {
             planar: PlanarVariant::Circular,
             axial: AxialVariant::PoseSign,
@@ -139,11 +95,7 @@ fn presets() -> Vec<LossOptions> {
             radial: RadialVariant::InverseRatio,
             ..base
         },
-        LossOptions {
-            planar: PlanarVariant::Weighted,
-            axial: AxialVariant::Signed,
-            ..base
-        },
+        LossOptions { planar: PlanarVariant::Weighted, axial: AxialVariant::Signed, ..base },
     ]
 }
 
@@ -154,19 +106,12 @@ fn exact_static_scenes_cost_nothing_for_either_source() {
             let found = values(&exact(motions(radial)), &options);
             for (term, values) in found.iter().enumerate() {
                 let signed = matches!(options.axial, AxialVariant::Literal | AxialVariant::Signed);
-                let expected = if term == 1 && signed && radial[0] > 0.0 {
-                    std::f64::consts::PI
-                } else {
-                    0.0
-                };
+                let expected = if term == 1 && signed && radial[0] > 0.0 { std::f64::consts::PI } else { 0.0 };
                 for x in values {
                     let rounded = matches!(options.planar, PlanarVariant::Literal);
                     // An arccos near cosine 1 keeps half of the digits.
                     let tolerance = if rounded { 1e-7 } else { 1e-11 };
-                    assert!(
-                        (x - expected).abs() < tolerance,
-                        "term {term} of {options:?}: {x}"
-                    );
+                    assert!((x - expected).abs() < tolerance, "term {term} of {options:?}: {x}");
                 }
             }
         }
@@ -175,10 +120,7 @@ fn exact_static_scenes_cost_nothing_for_either_source() {
 
 #[test]
 fn printed_convention_leaves_a_residual() {
-    let options = LossOptions {
-        convention: Convention::AsPrinted,
-        ..LossOptions::robust()
-    };
+    let options = LossOptions { convention: Convention::AsPrinted, ..LossOptions::robust() };
     let found = values(&exact(motions([-0.5, -0.4])), &options);
     assert!(found[1][0] > 0.01 && found[2][0] > 0.01, "{found:?}");
 }
@@ -186,22 +128,12 @@ fn printed_convention_leaves_a_residual() {
 #[test]
 fn a_common_scale_of_depths_and_translation_changes_nothing() {
     let [z, d, f, w, t] = perturbed(motions([-0.5, 0.5]));
-    let scaled =
-        |x: &Tensor<f64>| Tensor::from_vec(x.shape(), x.data().iter().map(|x| 1.7 * x).collect());
+    let scaled = |x: &Tensor<f64>| Tensor::from_vec(x.shape(), x.data().iter().map(|x| 1.7 * x).collect());
     for options in presets() {
-        let one = values(
-            &[z.clone(), d.clone(), f.clone(), w.clone(), t.clone()],
-            &options,
-        );
-        let two = values(
-            &[scaled(&z), scaled(&d), f.clone(), w.clone(), scaled(&t)],
-            &options,
-        );
+        let one = values(&[z.clone(), d.clone(), f.clone(), w.clone(), t.clone()], &options);
+        let two = values(&[scaled(&z), scaled(&d), f.clone(), w.clone(), scaled(&t)], &options);
         for (a, b) in one.iter().flatten().zip(two.iter().flatten()) {
-            assert!(
-                (a - b).abs() < 1e-9 * (1.0 + a.abs()),
-                "{options:?}: {a} {b}"
-            );
+            assert!((a - b).abs() < 1e-9 * (1.0 + a.abs()), "{options:?}: {a} {b}");
         }
     }
 }
@@ -209,12 +141,7 @@ fn a_common_scale_of_depths_and_translation_changes_nothing() {
 #[test]
 fn gradients_match_differences() {
     let inputs = perturbed(motions([-0.5, 0.55]));
-    let settings = GradCheck {
-        step: 1e-7,
-        atol: 2e-7,
-        rtol: 1e-5,
-        ..GradCheck::default()
-    };
+    let settings = GradCheck { step: 1e-7, atol: 2e-7, rtol: 1e-5, ..GradCheck::default() };
     for options in presets() {
         for term in 0..4 {
             let report = gradcheck(&inputs, |_, v| one(v, &options, term).mean, settings);
@@ -225,22 +152,12 @@ fn gradients_match_differences() {
 
 #[test]
 fn detached_depth_and_direction_receive_no_gradient() {
-    let base = LossOptions {
-        detach_depth_in_alignment: true,
-        detach_direction: true,
-        ..LossOptions::pixels()
-    };
+    let base = LossOptions { detach_depth_in_alignment: true, detach_direction: true, ..LossOptions::pixels() };
     let tape = Tape::new();
     let v = perturbed(motions([-0.5, 0.5])).map(|x| tape.leaf(x));
     let [pla, axi, ..] = all(&v, &base);
     for term in [&pla, &axi] {
-        assert!(
-            tape.backward(term.mean)
-                .wrt(v[1])
-                .data()
-                .iter()
-                .all(|&g| g == 0.0)
-        );
+        assert!(tape.backward(term.mean).wrt(v[1]).data().iter().all(|&g| g == 0.0));
     }
     // With R kept fixed only a_z moves the planar flow, and the direction is cut off.
     let grad = tape.backward(pla.mean).wrt(v[3]);
@@ -255,15 +172,13 @@ fn taped_losses_equal_the_plain_sums() {
         let tape = Tape::new();
         let v = leaves.clone().map(|x| tape.leaf(x));
         let pair = pair_of(&v, &masks::everywhere(shape(1)), &options);
+        #[allow(clippy::needless_range_loop)] // the sample indexes several lists
         for n in 0..2 {
             let expected = plain(&pair, &options, n);
             for (term, expected) in expected.into_iter().enumerate() {
                 let Some(expected) = expected else { continue };
                 let x = found[term][n];
-                assert!(
-                    (x - expected).abs() < 1e-9 * (1.0 + expected),
-                    "term {term}, {options:?}: {x} {expected}"
-                );
+                assert!((x - expected).abs() < 1e-9 * (1.0 + expected), "term {term}, {options:?}: {x} {expected}");
             }
         }
     }
@@ -275,22 +190,14 @@ fn plain(pair: &AlignedPair<'_, f64>, options: &LossOptions, n: usize) -> [Optio
     let (pla, axi) = (pair.planar_flow.value(), pair.axial_flow.value());
     let z = pair.target_depth.value().plane(n, 0).to_vec();
     let a = Vector3::from_fn(|i, _| pair.translation.value().at(n, i, 0, 0));
-    let list = |t: &Tensor<f64>| -> Vec<Vector2<f64>> {
-        (0..H * W)
-            .map(|i| Vector2::new(t.plane(n, 0)[i], t.plane(n, 1)[i]))
-            .collect()
-    };
+    let list =
+        |t: &Tensor<f64>| -> Vec<Vector2<f64>> { (0..H * W).map(|i| Vector2::new(t.plane(n, 0)[i], t.plane(n, 1)[i])).collect() };
     let (pla, axi) = (list(&pla), list(&axi));
-    let d: Vec<_> = (0..H * W)
-        .map(|i| Vector2::new((i % W) as f64, (i / W) as f64) - k.principal_point())
-        .collect();
+    let d: Vec<_> = (0..H * W).map(|i| Vector2::new((i % W) as f64, (i / W) as f64) - k.principal_point()).collect();
     let direction = Vector2::new(k.fu * a.x, k.fv * a.y);
     let tip = |x: f64| x.hypot(options.smooth_px) - options.smooth_px;
     let soft = |x: &dyn Fn(usize) -> f64| {
-        let kept: Vec<f64> = (0..H * W)
-            .filter(|&i| direction.norm() > options.min_tangential_flow * z[i])
-            .map(x)
-            .collect();
+        let kept: Vec<f64> = (0..H * W).filter(|&i| direction.norm() > options.min_tangential_flow * z[i]).map(x).collect();
         kept.iter().map(|&x| tip(x)).sum::<f64>() / kept.len() as f64
     };
     let planar = match options.planar {
@@ -301,32 +208,23 @@ fn plain(pair: &AlignedPair<'_, f64>, options: &LossOptions, n: usize) -> [Optio
     };
     let short = |f: &[Vector2<f64>]| f.iter().any(|f| f.norm() <= options.tau_f);
     let near = d.iter().any(|d| d.norm() < options.q_min);
-    let planar = (matches!(
-        options.planar,
-        PlanarVariant::Literal | PlanarVariant::PerpendicularPixels
-    ) || !short(&pla))
-    .then_some(planar);
+    let planar =
+        (matches!(options.planar, PlanarVariant::Literal | PlanarVariant::PerpendicularPixels) || !short(&pla)).then_some(planar);
     let axial = match options.axial {
         AxialVariant::Literal => Some(loss_forms::axial::printed(&axi, &d)),
         AxialVariant::Signed if !near && !short(&axi) => Some(loss_forms::axial::printed(&axi, &d)),
         AxialVariant::Folded if !near && !short(&axi) => Some(loss_forms::axial::folded(&axi, &d)),
-        AxialVariant::PoseSign if !near && !short(&axi) => {
-            Some(loss_forms::axial::pose_sign(&axi, &d, a.z))
-        }
+        AxialVariant::PoseSign if !near && !short(&axi) => Some(loss_forms::axial::pose_sign(&axi, &d, a.z)),
         _ => None,
     };
     let tangential = match options.tangential {
         TangentialVariant::Literal => Some(loss_forms::tangential::printed(&k, &pla, &z, &a)),
-        TangentialVariant::InverseRatio => {
-            Some(loss_forms::tangential::inverse_ratio(&k, &pla, &z, &a))
-        }
+        TangentialVariant::InverseRatio => Some(loss_forms::tangential::inverse_ratio(&k, &pla, &z, &a)),
         _ => None,
     };
     let radial = match options.radial {
         RadialVariant::Literal => Some(loss_forms::radial::printed(&axi, &d, &z, &a)),
-        RadialVariant::InverseRatio if !near => {
-            Some(loss_forms::radial::inverse_ratio(&axi, &d, &z, &a))
-        }
+        RadialVariant::InverseRatio if !near => Some(loss_forms::radial::inverse_ratio(&axi, &d, &z, &a)),
         _ => None,
     };
     [planar, axial, tangential, radial]
@@ -334,32 +232,22 @@ fn plain(pair: &AlignedPair<'_, f64>, options: &LossOptions, n: usize) -> [Optio
 
 #[test]
 fn pixel_forms_equal_the_plain_sums() {
-    let options = LossOptions {
-        min_tangential_flow: 0.0,
-        q_min: 0.0,
-        ..LossOptions::pixels()
-    };
+    let options = LossOptions { min_tangential_flow: 0.0, q_min: 0.0, ..LossOptions::pixels() };
     let leaves = perturbed(motions([-0.5, 0.55]));
     let found = values(&leaves, &options);
     let tape = Tape::new();
     let v = leaves.clone().map(|x| tape.leaf(x));
     let pair = pair_of(&v, &masks::everywhere(shape(1)), &options);
+    #[allow(clippy::needless_range_loop)] // the sample indexes several lists
     for n in 0..2 {
         let k = cameras()[n];
         let list = |t: Tensor<f64>| -> Vec<Vector2<f64>> {
-            (0..H * W)
-                .map(|i| Vector2::new(t.plane(n, 0)[i], t.plane(n, 1)[i]))
-                .collect()
+            (0..H * W).map(|i| Vector2::new(t.plane(n, 0)[i], t.plane(n, 1)[i])).collect()
         };
-        let (pla, axi) = (
-            list(pair.planar_flow.value()),
-            list(pair.axial_flow.value()),
-        );
+        let (pla, axi) = (list(pair.planar_flow.value()), list(pair.axial_flow.value()));
         let z = leaves[0].plane(n, 0);
         let a = Vector3::from_fn(|i, _| pair.translation.value().at(n, i, 0, 0));
-        let d: Vec<_> = (0..H * W)
-            .map(|i| Vector2::new((i % W) as f64, (i / W) as f64) - k.principal_point())
-            .collect();
+        let d: Vec<_> = (0..H * W).map(|i| Vector2::new((i % W) as f64, (i / W) as f64) - k.principal_point()).collect();
         let expected = [
             loss_forms::planar::perpendicular(&pla, &Vector2::new(k.fu * a.x, k.fv * a.y)),
             loss_forms::axial::perpendicular(&axi, &d),
@@ -367,11 +255,7 @@ fn pixel_forms_equal_the_plain_sums() {
             loss_forms::radial::flow_pixels(&axi, &d, z, &a),
         ];
         for (term, expected) in expected.into_iter().enumerate() {
-            assert!(
-                (found[term][n] - expected).abs() < 1e-12,
-                "term {term}: {} {expected}",
-                found[term][n]
-            );
+            assert!((found[term][n] - expected).abs() < 1e-12, "term {term}: {} {expected}", found[term][n]);
         }
     }
 }
@@ -381,24 +265,13 @@ fn hazards_stay_finite() {
     // No motion at all, a pixel behind the camera, one exactly on the principal point, an empty mask.
     let mut camera = cameras()[0];
     (camera.u0, camera.v0) = (6.0, 4.0);
-    let depth = Tensor::from_fn(Shape::new(1, 1, H, W), |_, _, v, u| {
-        if (v, u) == (2, 3) { -1.0 } else { 5.0 }
-    });
-    for (options, empty) in presets()
-        .into_iter()
-        .skip(1)
-        .flat_map(|o| [(o, false), (o, true)])
-    {
+    let depth = Tensor::from_fn(Shape::new(1, 1, H, W), |_, _, v, u| if (v, u) == (2, 3) { -1.0 } else { 5.0 });
+    for (options, empty) in presets().into_iter().skip(1).flat_map(|o| [(o, false), (o, true)]) {
         let tape = Tape::new();
         let zeros = |c| Tensor::zeros(Shape::new(1, c, H, W));
         let vector = || Tensor::zeros(Shape::new(1, 3, 1, 1));
-        let v = [depth.clone(), depth.clone(), zeros(2), vector(), vector()]
-            .map(|x: Tensor<f64>| tape.leaf(x));
-        let mask = if empty {
-            zeros(1)
-        } else {
-            masks::everywhere(depth.shape())
-        };
+        let v = [depth.clone(), depth.clone(), zeros(2), vector(), vector()].map(|x: Tensor<f64>| tape.leaf(x));
+        let mask = if empty { zeros(1) } else { masks::everywhere(depth.shape()) };
         let inputs = PairInputs {
             target_depth: v[0],
             source_depth: v[1],
@@ -409,20 +282,12 @@ fn hazards_stay_finite() {
             mask: &mask,
         };
         let pair = AlignedPair::new(&inputs, &options);
-        let terms = [
-            planar(&pair, &options),
-            axial(&pair, &options),
-            tangential(&pair, &options),
-            radial(&pair, &options),
-        ];
+        let terms = [planar(&pair, &options), axial(&pair, &options), tangential(&pair, &options), radial(&pair, &options)];
         for (i, term) in terms.iter().enumerate() {
             assert!(term.mean.value().item().is_finite(), "term {i} {options:?}");
             let grads = tape.backward(term.mean);
             for (k, x) in v.iter().enumerate() {
-                assert!(
-                    grads.wrt(*x).is_finite(),
-                    "term {i}, input {k}, {options:?}"
-                );
+                assert!(grads.wrt(*x).is_finite(), "term {i}, input {k}, {options:?}");
             }
         }
     }
@@ -432,13 +297,7 @@ fn hazards_stay_finite() {
 fn flow_that_leaves_the_view_is_dropped() {
     let [z, d, f, w, t] = exact(motions([-0.5, -0.4]));
     let tape = Tape::new();
-    let flow = Tensor::from_fn(f.shape(), |n, c, v, u| {
-        if c == 0 && u == 0 {
-            -1.0
-        } else {
-            0.3 * f.at(n, c, v, u)
-        }
-    });
+    let flow = Tensor::from_fn(f.shape(), |n, c, v, u| if c == 0 && u == 0 { -1.0 } else { 0.3 * f.at(n, c, v, u) });
     let v = [z, d, flow.clone(), w, t].map(|x| tape.leaf(x));
     let mask = masks::everywhere(shape(1));
     let inputs = PairInputs {
@@ -452,12 +311,6 @@ fn flow_that_leaves_the_view_is_dropped() {
     };
     let pair = AlignedPair::new(&inputs, &LossOptions::default());
     let view = masks::in_view(&flow);
-    assert!(
-        pair.mask
-            .data()
-            .iter()
-            .zip(view.data())
-            .all(|(m, v)| m <= v)
-    );
+    assert!(pair.mask.data().iter().zip(view.data()).all(|(m, v)| m <= v));
     assert!((0..H).all(|v| pair.mask.at(0, 0, v, 0) == 0.0));
 }

@@ -1,6 +1,7 @@
 //! One batch of aligned (target, source) pairs: what the four losses read.
 
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
+use dimode_autodiff::ops::kernel;
 use dimode_autodiff::{Scalar, Shape, Tensor, Var};
 
 use super::options::LossOptions;
@@ -48,6 +49,8 @@ pub struct AlignedPair<'t, T: Scalar> {
     pub(crate) d_u: Tensor<T>,
     /// Offsets `p - p0` along v.
     pub(crate) d_v: Tensor<T>,
+    /// Distances `|p - p0|`, (N,1,H,W), pixels.
+    pub(crate) radius: Tensor<T>,
     /// Focal lengths along u, (N,1,1,1).
     pub(crate) focal_u: Tensor<T>,
     /// Focal lengths along v.
@@ -62,21 +65,10 @@ impl<'t, T: Scalar> AlignedPair<'t, T> {
     #[track_caller]
     pub fn new(inputs: &PairInputs<'_, 't, T>, options: &LossOptions) -> Self {
         let flow = inputs.flow;
-        let grid = flow
-            .tape()
-            .constant(masks::pixels_plus(&Tensor::zeros(flow.shape())));
-        let sampled = inputs
-            .source_depth
-            .bilinear_sample(grid.add(flow), SamplePadding::Border);
+        let grid = flow.tape().constant(masks::pixels_plus(&Tensor::zeros(flow.shape())));
+        let sampled = inputs.source_depth.bilinear_sample(grid.add(flow), SamplePadding::Border);
         let mask = masks::all_of(&[inputs.mask, &masks::in_view(&flow.value())]);
-        Self::from_sampled(
-            &PairInputs {
-                source_depth: sampled,
-                mask: &mask,
-                ..*inputs
-            },
-            options,
-        )
+        Self::from_sampled(&PairInputs { source_depth: sampled, mask: &mask, ..*inputs }, options)
     }
 
     /// As [`AlignedPair::new`] with `source_depth` already given at the flow's ends.
@@ -92,26 +84,18 @@ impl<'t, T: Scalar> AlignedPair<'t, T> {
         };
         let translation = match options.convention {
             Convention::AsPrinted => inputs.translation,
-            Convention::Consistent => {
-                translation_in_target_frame(inputs.rotation, inputs.translation)
-            }
+            Convention::Consistent => translation_in_target_frame(inputs.rotation, inputs.translation),
         };
-        let aligned = align(
-            source_depth,
-            inputs.rotation,
-            translation,
-            inputs.flow,
-            inputs.intrinsics,
-        );
-        let mask = usable(
-            &aligned.value(),
-            &source_depth.value(),
-            inputs.mask,
-            options.z_min,
-        );
+        let aligned = align(source_depth, inputs.rotation, translation, inputs.flow, inputs.intrinsics);
+        let mask = usable(&aligned.value(), &source_depth.value(), inputs.mask, options.z_min);
         let shape = source_depth.shape();
         let per_image = Shape::new(shape.n(), 1, 1, 1);
         let k = inputs.intrinsics;
+        let d_u = Tensor::from_fn(shape, |n, _, _, u| T::from_f64(u as f64 - k[n].u0));
+        let d_v = Tensor::from_fn(shape, |n, _, v, _| T::from_f64(v as f64 - k[n].v0));
+        let mut radius = vec![T::ZERO; shape.len()];
+        kernel::zip(&mut radius, d_u.data(), d_v.data(), |x, y| (x * x + y * y).sqrt());
+        let radius = Tensor::from_vec(shape, radius);
         Self {
             planar_flow: aligned.slice(1, 0, 2),
             axial_flow: aligned.slice(1, 2, 2),
@@ -120,8 +104,9 @@ impl<'t, T: Scalar> AlignedPair<'t, T> {
             target_depth: inputs.target_depth,
             translation,
             mask,
-            d_u: Tensor::from_fn(shape, |n, _, _, u| T::from_f64(u as f64 - k[n].u0)),
-            d_v: Tensor::from_fn(shape, |n, _, v, _| T::from_f64(v as f64 - k[n].v0)),
+            d_u,
+            d_v,
+            radius,
             focal_u: Tensor::from_fn(per_image, |n, _, _, _| T::from_f64(k[n].fu)),
             focal_v: Tensor::from_fn(per_image, |n, _, _, _| T::from_f64(k[n].fv)),
         }
@@ -149,10 +134,7 @@ impl<'t, T: Scalar> AlignedPair<'t, T> {
 
     /// `x` inside the mask, the constant `filler` outside.
     pub(crate) fn keep(&self, x: Var<'t, T>, mask: &Tensor<T>, filler: f64) -> Var<'t, T> {
-        x.select(
-            mask,
-            self.constant(&Tensor::full(x.shape(), T::from_f64(filler))),
-        )
+        x.select(mask, self.constant(&Tensor::full(x.shape(), T::from_f64(filler))))
     }
 
     /// `d . f` of the axial flow, (N,1,H,W), with flows outside the mask replaced by `d` itself.
@@ -160,30 +142,15 @@ impl<'t, T: Scalar> AlignedPair<'t, T> {
         let (d_u, d_v) = (self.constant(&self.d_u), self.constant(&self.d_v));
         let f_u = self.axial_flow.slice(1, 0, 1).select(mask, d_u);
         let f_v = self.axial_flow.slice(1, 1, 1).select(mask, d_v);
-        AxialProducts {
-            along: d_u.mul(f_u).add(d_v.mul(f_v)),
-            across: d_u.mul(f_v).sub(d_v.mul(f_u)),
-        }
-    }
-
-    /// Squared distance from the principal point at a pixel.
-    pub(crate) fn radius_squared(&self, n: usize, i: usize) -> f64 {
-        let (x, y) = (
-            self.d_u.plane(n, 0)[i].to_f64(),
-            self.d_v.plane(n, 0)[i].to_f64(),
-        );
-        x * x + y * y
+        AxialProducts { along: d_u.mul(f_u).add(d_v.mul(f_v)), across: d_u.mul(f_v).sub(d_v.mul(f_u)) }
     }
 
     /// Distances from the principal point, (N,1,H,W), at least `floor`.
-    pub(crate) fn radius(&self, floor: f64) -> Tensor<T> {
-        Tensor::from_fn(self.map_shape(), |n, _, v, u| {
-            T::from_f64(
-                self.radius_squared(n, v * self.map_shape().w() + u)
-                    .sqrt()
-                    .max(floor),
-            )
-        })
+    pub(crate) fn radius_from(&self, floor: f64) -> Tensor<T> {
+        let floor = T::from_f64(floor);
+        let mut out = vec![T::ZERO; self.map_shape().len()];
+        kernel::map(&mut out, self.radius.data(), |r| r.max(floor));
+        Tensor::from_vec(self.map_shape(), out)
     }
 }
 
@@ -197,12 +164,7 @@ pub(crate) struct AxialProducts<'t, T: Scalar> {
 }
 
 /// The mask with all depths above `z_min` and finite aligned flows.
-fn usable<T: Scalar>(
-    aligned: &Tensor<T>,
-    source_depth: &Tensor<T>,
-    mask: &Tensor<T>,
-    z_min: f64,
-) -> Tensor<T> {
+fn usable<T: Scalar>(aligned: &Tensor<T>, source_depth: &Tensor<T>, mask: &Tensor<T>, z_min: f64) -> Tensor<T> {
     let z_min = T::from_f64(z_min);
     masks::and_where(mask, |n, i| {
         source_depth.plane(n, 0)[i] > z_min

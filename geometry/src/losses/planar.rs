@@ -43,25 +43,18 @@ fn longer_than<T: Scalar>(pair: &AlignedPair<'_, T>, shortest: f64) -> Tensor<T>
     let flow = pair.planar_flow.value();
     masks::and_where(&pair.mask, |n, i| {
         let (u, v) = (flow.plane(n, 0)[i].to_f64(), flow.plane(n, 1)[i].to_f64());
-        u.hypot(v) > shortest
+        u * u + v * v > shortest * shortest
     })
 }
 
 /// Planar flow with a harmless constant outside the mask.
-fn components<'t, T: Scalar>(
-    pair: &AlignedPair<'t, T>,
-    mask: &Tensor<T>,
-) -> (Var<'t, T>, Var<'t, T>) {
+fn components<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>) -> (Var<'t, T>, Var<'t, T>) {
     let part = |c, filler| pair.keep(pair.planar_flow.slice(1, c, 1), mask, filler);
     (part(0, 1.0), part(1, 1.0))
 }
 
 /// Population variance over the mask, (N,1,1,1).
-fn variance<'t, T: Scalar>(
-    pair: &AlignedPair<'t, T>,
-    x: Var<'t, T>,
-    mask: &Tensor<T>,
-) -> Var<'t, T> {
+fn variance<'t, T: Scalar>(pair: &AlignedPair<'t, T>, x: Var<'t, T>, mask: &Tensor<T>) -> Var<'t, T> {
     let centre = pair.spread(x.masked_mean(mask));
     x.sub(centre).square().masked_mean(mask)
 }
@@ -110,16 +103,9 @@ fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions
     });
     let direction = |c: Var<'t, T>| {
         let c = c.div_guarded(size, 1e-12);
-        pair.spread(if options.detach_direction {
-            c.detach()
-        } else {
-            c
-        })
+        pair.spread(if options.detach_direction { c.detach() } else { c })
     };
     let (u, v) = components(pair, &mask);
     let distance = u.mul(direction(y)).sub(v.mul(direction(x)));
-    (
-        soft_abs(distance, options.smooth_px).masked_mean(&mask),
-        mask,
-    )
+    (soft_abs(distance, options.smooth_px).masked_mean(&mask), mask)
 }

@@ -33,50 +33,41 @@ pub fn radial<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -
     LossTerm::new(per_image, &mask, options.min_valid_fraction)
 }
 
-/// Radial flow `d . f / |d|` and radius of a pixel, from values.
-fn radial_flow_at<T: Scalar>(
-    pair: &AlignedPair<'_, T>,
-    flow: &Tensor<T>,
-    n: usize,
-    i: usize,
-) -> (f64, f64) {
-    let product =
-        |d: &Tensor<T>, c: usize| d.plane(n, 0)[i].to_f64() * flow.plane(n, c)[i].to_f64();
-    let radius = pair.radius_squared(n, i).sqrt();
-    (
-        (product(&pair.d_u, 0) + product(&pair.d_v, 1)) / radius.max(1e-12),
-        radius,
-    )
+/// Radial flow `d . f / |d|` (0 at the principal point) of every pixel, from values.
+fn radial_flow<T: Scalar>(pair: &AlignedPair<'_, T>) -> Tensor<T> {
+    let flow = pair.axial_flow.value();
+    let mut out = vec![T::ZERO; pair.radius.shape().len()];
+    let plane = pair.radius.shape().plane();
+    for (n, out) in out.chunks_exact_mut(plane).enumerate() {
+        let (x, y, r) = (pair.d_u.plane(n, 0), pair.d_v.plane(n, 0), pair.radius.plane(n, 0));
+        let (u, v) = (flow.plane(n, 0), flow.plane(n, 1));
+        for (i, out) in out.iter_mut().enumerate() {
+            if r[i] > T::ZERO {
+                *out = (x[i] * u[i] + y[i] * v[i]) / r[i];
+            }
+        }
+    }
+    Tensor::from_vec(pair.radius.shape(), out)
 }
 
 /// Pixels off the principal point where the flow does not end on it: `d . (f + d) / |d| > smallest`.
-fn recoverable<T: Scalar>(
-    pair: &AlignedPair<'_, T>,
-    base: &Tensor<T>,
-    q_min: f64,
-    smallest: f64,
-) -> Tensor<T> {
-    let flow = pair.axial_flow.value();
+fn recoverable<T: Scalar>(pair: &AlignedPair<'_, T>, base: &Tensor<T>, q_min: f64, smallest: f64) -> Tensor<T> {
+    let (along, radius) = (radial_flow(pair), pair.radius.clone());
     masks::and_where(base, |n, i| {
-        let (along, radius) = radial_flow_at(pair, &flow, n, i);
-        radius > 0.0 && radius >= q_min && along + radius > smallest
+        let r = radius.plane(n, 0)[i].to_f64();
+        r > 0.0 && r >= q_min && along.plane(n, 0)[i].to_f64() + r > smallest
     })
 }
 
 fn radius_squared<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Var<'t, T> {
-    pair.constant(&pair.d_u)
-        .square()
-        .add(pair.constant(&pair.d_v).square())
+    pair.constant(&pair.d_u).square().add(pair.constant(&pair.d_v).square())
 }
 
 /// `z / rho_z = -z (d . f) / (d . f + |d|^2)`; 0 outside the mask.
 fn recovered<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>) -> Var<'t, T> {
     let along = pair.keep(pair.axial_products(mask).along, mask, 0.0);
     let whole = pair.keep(along.add(radius_squared(pair)), mask, 1.0);
-    pair.keep(pair.target_depth, mask, 1.0)
-        .mul(along)
-        .div(whole)
-        .neg()
+    pair.keep(pair.target_depth, mask, 1.0).mul(along).div(whole).neg()
 }
 
 /// `A_z + C_z`; thresholds only with options.
@@ -86,10 +77,10 @@ fn ratio_terms<'t, T: Scalar>(
     robust: Option<&LossOptions>,
 ) -> (Var<'t, T>, Tensor<T>) {
     let (q_min, smallest) = robust.map_or((0.0, 0.0), |o| (o.q_min, o.tau_rho));
-    let flow = pair.axial_flow.value();
+    let (flow, radius) = (radial_flow(pair), pair.radius.clone());
     let divisible = masks::and_where(base, |n, i| {
-        let (along, radius) = radial_flow_at(pair, &flow, n, i);
-        radius > 0.0 && radius >= q_min && along.abs() > smallest
+        let r = radius.plane(n, 0)[i].to_f64();
+        r > 0.0 && r >= q_min && flow.plane(n, 0)[i].to_f64().abs() > smallest
     });
     let along = pair.keep(pair.axial_products(&divisible).along, &divisible, 1.0);
     let ratio = along.add(radius_squared(pair)).div(along).neg();
@@ -97,43 +88,29 @@ fn ratio_terms<'t, T: Scalar>(
     let pixel = pixel_term(pair, scaled, &divisible, robust.map(|o| o.gate));
     let mask = match robust {
         Some(o) => recoverable(pair, base, o.q_min, o.tau_rho),
-        None => masks::and_where(base, |n, i| pair.radius_squared(n, i) > 0.0),
+        None => masks::and_where(base, |n, i| radius.plane(n, 0)[i] > T::ZERO),
     };
     let aggregate = aggregate_term(pair, recovered(pair, &mask), &mask, 2, robust);
     (pixel.add(aggregate), mask)
 }
 
-fn inverse_ratio<'t, T: Scalar>(
-    pair: &AlignedPair<'t, T>,
-    base: &Tensor<T>,
-    options: &LossOptions,
-) -> (Var<'t, T>, Tensor<T>) {
+fn inverse_ratio<'t, T: Scalar>(pair: &AlignedPair<'t, T>, base: &Tensor<T>, options: &LossOptions) -> (Var<'t, T>, Tensor<T>) {
     let mask = recoverable(pair, base, options.q_min, options.tau_rho);
-    let residual = recovered(pair, &mask)
-        .sub(pair.spread(pair.a(2)))
-        .abs()
-        .masked_mean(&mask);
+    let residual = recovered(pair, &mask).sub(pair.spread(pair.a(2))).abs().masked_mean(&mask);
     (residual.div_guarded(translation_length(pair), 1e-9), mask)
 }
 
-fn flow_pixels<'t, T: Scalar>(
-    pair: &AlignedPair<'t, T>,
-    base: &Tensor<T>,
-    options: &LossOptions,
-) -> (Var<'t, T>, Tensor<T>) {
-    let (z, a) = (pair.target_depth.value(), pair.translation.value());
+fn flow_pixels<'t, T: Scalar>(pair: &AlignedPair<'t, T>, base: &Tensor<T>, options: &LossOptions) -> (Var<'t, T>, Tensor<T>) {
+    let (z, a, radius) = (pair.target_depth.value(), pair.translation.value(), pair.radius.clone());
     let q_min = options.q_min.max(1e-6);
     let mask = masks::and_where(base, |n, i| {
         let source_depth = z.plane(n, 0)[i].to_f64() + a.at(n, 2, 0, 0).to_f64();
-        pair.radius_squared(n, i) >= q_min * q_min && source_depth > options.z_min
+        radius.plane(n, 0)[i].to_f64() >= q_min && source_depth > options.z_min
     });
     let a_z = pair.spread(pair.a(2));
     let source_depth = pair.keep(pair.target_depth.add(a_z), &mask, 1.0);
-    let radius = pair.constant(&pair.radius(q_min));
+    let radius = pair.constant(&pair.radius_from(q_min));
     let along = pair.axial_products(&mask).along.div(radius);
     let residual = along.add(radius.mul(a_z).div(source_depth));
-    (
-        soft_abs(residual, options.smooth_px).masked_mean(&mask),
-        mask,
-    )
+    (soft_abs(residual, options.smooth_px).masked_mean(&mask), mask)
 }

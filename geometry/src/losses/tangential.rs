@@ -21,10 +21,7 @@ pub enum TangentialVariant {
 
 /// Evaluates `L_tan`.
 #[must_use]
-pub fn tangential<'t, T: Scalar>(
-    pair: &AlignedPair<'t, T>,
-    options: &LossOptions,
-) -> LossTerm<'t, T> {
+pub fn tangential<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
     let mask = with_target_depth(pair, options.z_min);
     let per_image = match options.tangential {
         TangentialVariant::Literal => both_axes(|k| axis_terms(pair, &mask, k, None)),
@@ -39,9 +36,7 @@ pub fn tangential<'t, T: Scalar>(
 pub(super) fn with_target_depth<T: Scalar>(pair: &AlignedPair<'_, T>, z_min: f64) -> Tensor<T> {
     let z = pair.target_depth.value();
     let z_min = T::from_f64(z_min);
-    masks::and_where(&pair.mask, |n, i| {
-        z.plane(n, 0)[i] > z_min && z.plane(n, 0)[i].is_finite()
-    })
+    masks::and_where(&pair.mask, |n, i| z.plane(n, 0)[i] > z_min && z.plane(n, 0)[i].is_finite())
 }
 
 fn both_axes<'t, T: Scalar>(term: impl Fn(usize) -> Var<'t, T>) -> Var<'t, T> {
@@ -55,31 +50,18 @@ fn focal<'t, T: Scalar>(pair: &AlignedPair<'t, T>, k: usize) -> Var<'t, T> {
 /// `z / rho_k = z f_k / focal_k`, 0 outside the mask.
 fn recovered<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, k: usize) -> Var<'t, T> {
     let flow = pair.keep(pair.planar_flow.slice(1, k, 1), mask, 0.0);
-    pair.keep(pair.target_depth, mask, 1.0)
-        .mul(flow)
-        .div(pair.spread(focal(pair, k)))
+    pair.keep(pair.target_depth, mask, 1.0).mul(flow).div(pair.spread(focal(pair, k)))
 }
 
 /// `A_k + C_k`; thresholds only with options.
-fn axis_terms<'t, T: Scalar>(
-    pair: &AlignedPair<'t, T>,
-    mask: &Tensor<T>,
-    k: usize,
-    robust: Option<&LossOptions>,
-) -> Var<'t, T> {
+fn axis_terms<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, k: usize, robust: Option<&LossOptions>) -> Var<'t, T> {
     let smallest = robust.map_or(0.0, |o| o.tau_rho);
     let flows = pair.planar_flow.value();
     let divisible = masks::and_where(mask, |n, i| flows.plane(n, k)[i].to_f64().abs() > smallest);
     let flow = pair.keep(pair.planar_flow.slice(1, k, 1), &divisible, 1.0);
     let scaled = pair.spread(focal(pair, k).mul(pair.a(k))).div(flow);
     let pixel = pixel_term(pair, scaled, &divisible, robust.map(|o| o.gate));
-    pixel.add(aggregate_term(
-        pair,
-        recovered(pair, mask, k),
-        mask,
-        k,
-        robust,
-    ))
+    pixel.add(aggregate_term(pair, recovered(pair, mask, k), mask, k, robust))
 }
 
 /// `A = E[|rho a - z| / z]` from `rho a`, over errors below the gate.
@@ -114,10 +96,7 @@ pub(super) fn aggregate_term<'t, T: Scalar>(
     };
     let values = pair.translation.value();
     let floor = Tensor::from_fn(a.shape(), |n, _, _, _| {
-        let norm = (0..3)
-            .map(|i| values.at(n, i, 0, 0).to_f64().powi(2))
-            .sum::<f64>()
-            .sqrt();
+        let norm = (0..3).map(|i| values.at(n, i, 0, 0).to_f64().powi(2)).sum::<f64>().sqrt();
         T::from_f64(options.tau_t.max(options.kappa * norm))
     });
     difference.abs().div(a.abs().maximum(pair.constant(&floor)))
@@ -129,25 +108,15 @@ pub(super) fn translation_length<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Va
 }
 
 fn inverse_ratio<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>) -> Var<'t, T> {
-    let residual = |k| {
-        recovered(pair, mask, k)
-            .sub(pair.spread(pair.a(k)))
-            .abs()
-            .masked_mean(mask)
-    };
+    let residual = |k| recovered(pair, mask, k).sub(pair.spread(pair.a(k))).abs().masked_mean(mask);
     both_axes(residual).div_guarded(translation_length(pair), 1e-9)
 }
 
-fn flow_pixels<'t, T: Scalar>(
-    pair: &AlignedPair<'t, T>,
-    mask: &Tensor<T>,
-    smooth: f64,
-) -> Var<'t, T> {
+fn flow_pixels<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, smooth: f64) -> Var<'t, T> {
     let z = pair.keep(pair.target_depth, mask, 1.0);
     let residual = |k: usize| {
         let predicted = pair.spread(focal(pair, k).mul(pair.a(k))).div(z);
-        pair.keep(pair.planar_flow.slice(1, k, 1), mask, 0.0)
-            .sub(predicted)
+        pair.keep(pair.planar_flow.slice(1, k, 1), mask, 0.0).sub(predicted)
     };
     length(residual(0), residual(1), smooth).masked_mean(mask)
 }

@@ -19,9 +19,7 @@ impl<'t, T: Scalar> LossTerm<'t, T> {
     /// Averages over the images whose `mask` keeps at least the part `min_valid_fraction` of the pixels.
     pub(crate) fn new(per_image: Var<'t, T>, mask: &Tensor<T>, min_valid_fraction: f64) -> Self {
         let counts = masks::counts(mask);
-        let least = (min_valid_fraction * mask.shape().plane() as f64)
-            .ceil()
-            .max(1.0) as usize;
+        let least = (min_valid_fraction * mask.shape().plane() as f64).ceil().max(1.0) as usize;
         let enough: Vec<bool> = counts.iter().map(|&c| c >= least).collect();
         let images = enough.iter().filter(|&&e| e).count();
         let tape = per_image.tape();
@@ -29,19 +27,11 @@ impl<'t, T: Scalar> LossTerm<'t, T> {
         let mean = if images == 0 {
             tape.constant(Tensor::scalar(T::ZERO))
         } else {
-            let chosen =
-                Tensor::from_fn(shape, |n, _, _, _| if enough[n] { T::ONE } else { T::ZERO });
+            let chosen = Tensor::from_fn(shape, |n, _, _, _| if enough[n] { T::ONE } else { T::ZERO });
             let zero = tape.constant(Tensor::zeros(shape));
-            per_image
-                .select(&chosen, zero)
-                .sum()
-                .scale(1.0 / images as f64)
+            per_image.select(&chosen, zero).sum().scale(1.0 / images as f64)
         };
-        Self {
-            per_image,
-            counts,
-            mean,
-        }
+        Self { per_image, counts, mean }
     }
 }
 
@@ -53,22 +43,13 @@ mod tests {
     #[test]
     fn images_with_too_few_pixels_do_not_count() {
         let tape = Tape::<f64>::new();
-        let values = tape.leaf(Tensor::from_vec(
-            Shape::new(3, 1, 1, 1),
-            vec![1.0, f64::NAN, 4.0],
-        ));
+        let values = tape.leaf(Tensor::from_vec(Shape::new(3, 1, 1, 1), vec![1.0, f64::NAN, 4.0]));
         let mut mask = vec![1.0; 12];
         mask[4..8].fill(0.0);
         let mask = Tensor::from_vec(Shape::new(3, 1, 2, 2), mask);
         let term = LossTerm::new(values, &mask, 0.3);
-        assert_eq!(
-            (term.mean.value().item(), term.counts),
-            (2.5, vec![4, 0, 4])
-        );
-        assert_eq!(
-            tape.backward(term.mean).wrt(values).to_vec(),
-            [0.5, 0.0, 0.5]
-        );
+        assert_eq!((term.mean.value().item(), term.counts), (2.5, vec![4, 0, 4]));
+        assert_eq!(tape.backward(term.mean).wrt(values).to_vec(), [0.5, 0.0, 0.5]);
         let none = LossTerm::new(values, &Tensor::zeros(Shape::new(3, 1, 2, 2)), 0.3);
         assert_eq!(none.mean.value().item(), 0.0);
     }

@@ -22,10 +22,7 @@ use crate::camera::Intrinsics;
 ///
 /// **Panics** unless rotations are (N,1,3,3) and translations (N,3,1,1).
 #[track_caller]
-pub fn translation_in_target_frame<'t, T: Scalar>(
-    rotation: Var<'t, T>,
-    translation: Var<'t, T>,
-) -> Var<'t, T> {
+pub fn translation_in_target_frame<'t, T: Scalar>(rotation: Var<'t, T>, translation: Var<'t, T>) -> Var<'t, T> {
     rotate(rotation.transpose_hw(), translation)
 }
 
@@ -48,36 +45,19 @@ pub fn align<'t, T: Scalar>(
 ) -> Var<'t, T> {
     let shape = source_depth.shape();
     let (n, h, w) = (shape.n(), shape.h(), shape.w());
-    assert!(
-        shape.c() == 1,
-        "align: source depth has shape (N, 1, H, W), got {shape}"
-    );
-    assert!(
-        flow.shape() == Shape::new(n, 2, h, w),
-        "align: flow has shape ({n}, 2, {h}, {w}), got {}",
-        flow.shape()
-    );
-    check_motion(
-        "align",
-        shape,
-        rotation.shape(),
-        translation.shape(),
-        intrinsics,
-    );
+    assert!(shape.c() == 1, "align: source depth has shape (N, 1, H, W), got {shape}");
+    assert!(flow.shape() == Shape::new(n, 2, h, w), "align: flow has shape ({n}, 2, {h}, {w}), got {}", flow.shape());
+    check_motion("align", shape, rotation.shape(), translation.shape(), intrinsics);
     let (r, a) = (rotation.value(), translation.value());
-    let motions: Vec<Motion<T>> = intrinsics
-        .iter()
-        .enumerate()
-        .map(|(n, k)| Motion::new(k, r.data(), a.data(), n, true))
-        .collect();
+    let motions: Vec<Motion<T>> =
+        intrinsics.iter().enumerate().map(|(n, k)| Motion::new(k, r.data(), a.data(), n, true)).collect();
     let (depth, optical) = (source_depth.value(), flow.value());
     let tape = source_depth.tape();
     let mut out = tape.scratch(6 * shape.len());
     forward(&motions, shape, depth.data(), optical.data(), &mut out);
     let out = tape.tensor(Shape::new(n, 6, h, w), out);
     let record = move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-        let (mut grad_depth, mut grad_flow) =
-            (grads.scratch(shape.len()), grads.scratch(2 * shape.len()));
+        let (mut grad_depth, mut grad_flow) = (grads.scratch(shape.len()), grads.scratch(2 * shape.len()));
         let inputs = [depth.data(), optical.data(), g.data()];
         let sums = backward(&motions, shape, inputs, &mut grad_depth, &mut grad_flow);
         for (k, gradient) in [(0, &grad_depth), (3, &grad_flow)] {
@@ -90,12 +70,7 @@ pub fn align<'t, T: Scalar>(
         add_sums(grads, 1, &sums, 0..9);
         add_sums(grads, 2, &sums, 9..12);
     };
-    tape.push(
-        "align",
-        out,
-        &[source_depth, rotation, translation, flow],
-        record,
-    )
+    tape.push("align", out, &[source_depth, rotation, translation, flow], record)
 }
 
 fn forward<T: Scalar>(motions: &[Motion<T>], shape: Shape, depth: &[T], flow: &[T], out: &mut [T]) {
@@ -109,31 +84,15 @@ fn forward<T: Scalar>(motions: &[Motion<T>], shape: Shape, depth: &[T], flow: &[
         let mut channels = band.channels.map(|c| c.chunks_exact_mut(w));
         let rows = channels[0].len();
         for row in band.first_row..band.first_row + rows {
-            let out = channels
-                .each_mut()
-                .map(|c| c.next().expect("bands have whole rows"));
+            let out = channels.each_mut().map(|c| c.next().expect("bands have whole rows"));
             let at = row * w;
-            forward_row(
-                m,
-                m.ray_row(row),
-                &x,
-                &depth[at..][..w],
-                [&flow[at..][..w], &flow[plane + at..][..w]],
-                out,
-            );
+            forward_row(m, m.ray_row(row), &x, &depth[at..][..w], [&flow[at..][..w], &flow[plane + at..][..w]], out);
         }
     });
 }
 
 #[inline(always)]
-fn forward_row<T: Scalar>(
-    m: &Motion<T>,
-    y: T,
-    x: &[T],
-    depth: &[T],
-    flow: [&[T]; 2],
-    out: [&mut [T]; 6],
-) {
+fn forward_row<T: Scalar>(m: &Motion<T>, y: T, x: &[T], depth: &[T], flow: [&[T]; 2], out: [&mut [T]; 6]) {
     let w = x.len();
     let depth = &depth[..w];
     let [fu, fv] = flow.map(|f| &f[..w]);
@@ -175,9 +134,7 @@ fn backward<T: Scalar>(
 ) -> Vec<[f64; 12]> {
     let (h, w) = (shape.h(), shape.w());
     let mut band_sums = vec![[0.0; 12]; shape.n() * bands_per_sample(h)];
-    let gradients = bands::<T, 1>(grad_depth, h, w)
-        .into_iter()
-        .zip(bands::<T, 2>(grad_flow, h, w));
+    let gradients = bands::<T, 1>(grad_depth, h, w).into_iter().zip(bands::<T, 2>(grad_flow, h, w));
     let items: Vec<_> = gradients.zip(&mut band_sums).collect();
     par::for_each_item(items, |_, ((depth, flow), sums)| {
         backward_band(&motions[depth.sample], h, w, inputs, depth, flow, sums);
@@ -196,31 +153,17 @@ fn backward_band<T: Scalar>(
 ) {
     let x = m.ray_columns(w);
     let (plane, sample) = (h * w, grad_depth.sample);
-    let row_of = |k: usize, channels: usize, c: usize, row: usize| {
-        &inputs[k][(sample * channels + c) * plane + row * w..][..w]
-    };
+    let row_of = |k: usize, channels: usize, c: usize, row: usize| &inputs[k][(sample * channels + c) * plane + row * w..][..w];
     let [grad_depth] = grad_depth.channels;
     let [grad_u, grad_v] = grad_flow.channels;
     let first_row = grad_flow.first_row;
     let mut s = Scratch::new(w);
-    let rows = grad_depth
-        .chunks_exact_mut(w)
-        .zip(grad_u.chunks_exact_mut(w))
-        .zip(grad_v.chunks_exact_mut(w));
+    let rows = grad_depth.chunks_exact_mut(w).zip(grad_u.chunks_exact_mut(w)).zip(grad_v.chunks_exact_mut(w));
     for (i, ((gd, gu), gv)) in rows.enumerate() {
         let row = first_row + i;
         let flow = [row_of(1, 2, 0, row), row_of(1, 2, 1, row)];
         let g = std::array::from_fn(|c| row_of(2, 6, c, row));
-        backward_row(
-            m,
-            m.ray_row(row),
-            &x,
-            row_of(0, 1, 0, row),
-            flow,
-            g,
-            [gd, gu, gv],
-            &mut s,
-        );
+        backward_row(m, m.ray_row(row), &x, row_of(0, 1, 0, row), flow, g, [gd, gu, gv], &mut s);
         for k in 0..3 {
             // e_k = sum_j E_kj b_j with E = R^T - I: the gradient of E_kj belongs to R_jk.
             sums[k] += dot(&s.to_e[k], &s.xs);
@@ -242,12 +185,7 @@ struct Scratch<T> {
 impl<T: Scalar> Scratch<T> {
     fn new(w: usize) -> Self {
         let row = || vec![T::ZERO; w];
-        Self {
-            xs: row(),
-            ys: row(),
-            to_e: [row(), row(), row()],
-            to_a: [row(), row(), row()],
-        }
+        Self { xs: row(), ys: row(), to_e: [row(), row(), row()], to_a: [row(), row(), row()] }
     }
 }
 
@@ -283,16 +221,8 @@ fn backward_row<T: Scalar>(
         let e = turn(m, xs[j], ys[j]);
         let (nx, ny, nz) = (dx + e[0] - x[j] * e[2], dy + e[1] - y * e[2], T::ONE + e[2]);
         let (zp, za) = (d * nz - az, d * nz);
-        let (ip, gp) = if zp > min {
-            (T::ONE / zp, g5[j])
-        } else {
-            (T::ZERO, T::ZERO)
-        };
-        let (ia, ga) = if za > min {
-            (T::ONE / za, g6[j])
-        } else {
-            (T::ZERO, T::ZERO)
-        };
+        let (ip, gp) = if zp > min { (T::ONE / zp, g5[j]) } else { (T::ZERO, T::ZERO) };
+        let (ia, ga) = if za > min { (T::ONE / za, g6[j]) } else { (T::ZERO, T::ZERO) };
         let (pu, pv) = (g1[j] * m.fu * ip, g2[j] * m.fv * ip);
         let (au, av) = (g3[j] * m.fu * ia, g4[j] * m.fv * ia);
         let cp = gp - (pu * (d * nx + x[j] * az) + pv * (d * ny + y * az)) * ip;
@@ -328,22 +258,11 @@ mod tests {
 
     fn inputs() -> [Tensor<f64>; 4] {
         let motions = [
-            Se3::from_rotation_vector(
-                &Vector3::new(0.05, -0.08, 0.1),
-                Vector3::new(0.2, -0.1, 0.4),
-            ),
-            Se3::from_rotation_vector(
-                &Vector3::new(-0.02, 0.03, 0.06),
-                Vector3::new(0.0, 0.3, -0.5),
-            ),
+            Se3::from_rotation_vector(&Vector3::new(0.05, -0.08, 0.1), Vector3::new(0.2, -0.1, 0.4)),
+            Se3::from_rotation_vector(&Vector3::new(-0.02, 0.03, 0.06), Vector3::new(0.0, 0.3, -0.5)),
         ];
         let (r, a) = pose_tensors(&motions);
-        [
-            random(3, Shape::new(2, 1, 19, 11), 2.0, 9.0),
-            r,
-            a,
-            random(4, Shape::new(2, 2, 19, 11), -2.0, 2.0),
-        ]
+        [random(3, Shape::new(2, 1, 19, 11), 2.0, 9.0), r, a, random(4, Shape::new(2, 2, 19, 11), -2.0, 2.0)]
     }
 
     #[test]
@@ -351,35 +270,18 @@ mod tests {
         let tape = Tape::new();
         let [d, r, a, f] = inputs();
         let cameras = [camera(0.0), camera(1.0)];
-        let out = align(
-            tape.leaf(d.clone()),
-            tape.leaf(r.clone()),
-            tape.leaf(a.clone()),
-            tape.leaf(f.clone()),
-            &cameras,
-        )
-        .value();
+        let out = align(tape.leaf(d.clone()), tape.leaf(r.clone()), tape.leaf(a.clone()), tape.leaf(f.clone()), &cameras).value();
+        #[allow(clippy::needless_range_loop)] // the sample indexes several lists
         for n in 0..2 {
             let rotation = nalgebra::Matrix3::from_fn(|i, j| r.at(n, 0, i, j));
             let a = Vector3::from_fn(|i, _| a.at(n, i, 0, 0));
             for (v, u) in [(0, 0), (18, 10), (7, 3)] {
                 let target = Vector2::new(u as f64, v as f64);
                 let source = target + Vector2::new(f.at(n, 0, v, u), f.at(n, 1, v, u));
-                let m = Match {
-                    target,
-                    source,
-                    source_depth: d.at(n, 0, v, u),
-                };
+                let m = Match { target, source, source_depth: d.at(n, 0, v, u) };
                 let plane = planar(&cameras[n], &rotation, &a, &m).unwrap();
                 let axis = axial(&cameras[n], &rotation, &a, &m).unwrap();
-                let expected = [
-                    plane.flow.x,
-                    plane.flow.y,
-                    axis.flow.x,
-                    axis.flow.y,
-                    plane.depth,
-                    axis.depth,
-                ];
+                let expected = [plane.flow.x, plane.flow.y, axis.flow.x, axis.flow.y, plane.depth, axis.depth];
                 for (c, expected) in expected.into_iter().enumerate() {
                     assert!((out.at(n, c, v, u) - expected).abs() < 1e-12);
                 }
@@ -390,12 +292,7 @@ mod tests {
     #[test]
     fn gradients_match_differences() {
         let cameras = [camera(0.0), camera(1.0)];
-        gradcheck(
-            &inputs(),
-            |_, v| weighted_sum(align(v[0], v[1], v[2], v[3], &cameras), 5),
-            GradCheck::default(),
-        )
-        .assert_ok();
+        gradcheck(&inputs(), |_, v| weighted_sum(align(v[0], v[1], v[2], v[3], &cameras), 5), GradCheck::default()).assert_ok();
     }
 
     #[test]
@@ -406,20 +303,16 @@ mod tests {
         let pla = tape.backward(weighted_sum(out.slice(1, 0, 2), 1)).wrt(a);
         let axi = tape.backward(weighted_sum(out.slice(1, 2, 2), 1)).wrt(a);
         for n in 0..2 {
-            assert_eq!(
-                (pla.at(n, 0, 0, 0), pla.at(n, 1, 0, 0), axi.at(n, 2, 0, 0)),
-                (0.0, 0.0, 0.0)
-            );
+            assert_eq!((pla.at(n, 0, 0, 0), pla.at(n, 1, 0, 0), axi.at(n, 2, 0, 0)), (0.0, 0.0, 0.0));
             assert!(pla.at(n, 2, 0, 0) != 0.0 && axi.at(n, 0, 0, 0) != 0.0);
         }
     }
 
     #[test]
     fn exact_scene_leaves_one_translation_each() {
-        for motion in [
-            testing::motion([0.01, 0.03, -0.02], [0.1, -0.05, -0.4]),
-            testing::motion([0.0, -0.02, 0.0], [0.1, 0.2, 0.5]),
-        ] {
+        for motion in
+            [testing::motion([0.01, 0.03, -0.02], [0.1, -0.05, -0.4]), testing::motion([0.0, -0.02, 0.0], [0.1, 0.2, 0.5])]
+        {
             let tape = Tape::<f64>::new();
             let k = camera(0.0);
             let depth = random(3, Shape::new(1, 1, 19, 11), 2.0, 9.0);
@@ -442,10 +335,7 @@ mod tests {
     fn points_behind_get_no_flow_and_no_gradient() {
         let tape = Tape::<f64>::new();
         let k = Intrinsics::new(3.0, 3.0, 1.0, 0.0, 2, 1).unwrap();
-        let (r, a) = pose_tensors(&[Se3 {
-            translation: Vector3::new(0.1, 0.0, 5.0),
-            ..Se3::identity()
-        }]);
+        let (r, a) = pose_tensors(&[Se3 { translation: Vector3::new(0.1, 0.0, 5.0), ..Se3::identity() }]);
         let d = tape.leaf(Tensor::from_vec(Shape::new(1, 1, 1, 2), vec![4.0, 8.0]));
         let f = tape.leaf(Tensor::full(Shape::new(1, 2, 1, 2), 0.5));
         let out = align(d, tape.leaf(r), tape.leaf(a), f, &[k]);
@@ -461,22 +351,9 @@ mod tests {
         let run = || {
             let tape = Tape::<f32>::new();
             let vars = inputs().map(|x| tape.leaf(x.cast::<f32>()));
-            let out = align(
-                vars[0],
-                vars[1],
-                vars[2],
-                vars[3],
-                &[camera(0.0), camera(1.0)],
-            );
+            let out = align(vars[0], vars[1], vars[2], vars[3], &[camera(0.0), camera(1.0)]);
             let grads = tape.backward(weighted_sum(out, 5));
-            vars.map(|v| {
-                grads
-                    .wrt(v)
-                    .to_vec()
-                    .iter()
-                    .map(|x| x.to_bits())
-                    .collect::<Vec<_>>()
-            })
+            vars.map(|v| grads.wrt(v).to_vec().iter().map(|x| x.to_bits()).collect::<Vec<_>>())
         };
         assert_eq!(par::with_threads(1, run), par::with_threads(3, run));
     }

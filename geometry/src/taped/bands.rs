@@ -16,11 +16,7 @@ pub(crate) struct Band<'a, T, const C: usize> {
 }
 
 /// All bands of a buffer, sample by sample from the first row down.
-pub(crate) fn bands<T, const C: usize>(
-    data: &mut [T],
-    height: usize,
-    width: usize,
-) -> Vec<Band<'_, T, C>> {
+pub(crate) fn bands<T, const C: usize>(data: &mut [T], height: usize, width: usize) -> Vec<Band<'_, T, C>> {
     let mut out = Vec::new();
     for (sample, block) in data.chunks_mut((C * height * width).max(1)).enumerate() {
         let mut planes = block.chunks_mut(height * width);
@@ -29,13 +25,7 @@ pub(crate) fn bands<T, const C: usize>(
             plane.chunks_mut(ROWS * width)
         });
         for first_row in (0..height).step_by(ROWS) {
-            out.push(Band {
-                sample,
-                first_row,
-                channels: rows
-                    .each_mut()
-                    .map(|r| r.next().expect("planes have equal heights")),
-            });
+            out.push(Band { sample, first_row, channels: rows.each_mut().map(|r| r.next().expect("planes have equal heights")) });
         }
     }
     out
@@ -91,20 +81,10 @@ pub(crate) struct Motion<T> {
 
 impl<T: Scalar> Motion<T> {
     /// Reads sample `n`; `transposed` stores `R^T - I`.
-    pub(crate) fn new(
-        camera: &Intrinsics,
-        rotation: &[T],
-        t: &[T],
-        n: usize,
-        transposed: bool,
-    ) -> Self {
+    pub(crate) fn new(camera: &Intrinsics, rotation: &[T], t: &[T], n: usize, transposed: bool) -> Self {
         let r = &rotation[9 * n..9 * n + 9];
         let entry = |i: usize, j: usize| {
-            if transposed {
-                r[3 * j + i]
-            } else {
-                r[3 * i + j]
-            }
+            if transposed { r[3 * j + i] } else { r[3 * i + j] }
         };
         let identity = |i: usize, j: usize| if i == j { T::ONE } else { T::ZERO };
         Self {
@@ -121,9 +101,7 @@ impl<T: Scalar> Motion<T> {
 
     /// Viewing-ray coordinates of the columns of a row.
     pub(crate) fn ray_columns(&self, width: usize) -> Vec<T> {
-        (0..width)
-            .map(|u| T::from_f64((u as f64 - self.u0) * self.inv_fu))
-            .collect()
+        (0..width).map(|u| T::from_f64((u as f64 - self.u0) * self.inv_fu)).collect()
     }
 
     /// Viewing-ray coordinate of a row.
@@ -145,10 +123,7 @@ mod tests {
     fn bands_cover_every_element_once_and_keep_the_channels_apart() {
         let (height, width) = (ROWS + 3, 5);
         let mut data = vec![0; 2 * 3 * height * width];
-        for (k, band) in bands::<_, 3>(&mut data, height, width)
-            .into_iter()
-            .enumerate()
-        {
+        for (k, band) in bands::<_, 3>(&mut data, height, width).into_iter().enumerate() {
             assert_eq!((band.sample, band.first_row), (k / 2, ROWS * (k % 2)));
             for (c, rows) in band.channels.into_iter().enumerate() {
                 rows.iter_mut().for_each(|x| *x += 10 * band.sample + c + 1);

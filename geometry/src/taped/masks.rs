@@ -1,7 +1,7 @@
 //! Which pixels a loss may use. Masks are tensors (N,1,H,W) of 0 and 1; none carries a gradient.
 
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
-use dimode_autodiff::{Scalar, Shape, Tape, Tensor};
+use dimode_autodiff::{Scalar, Shape, Tape, Tensor, par};
 
 /// Share of the squared flow lengths allowed as forward-backward deviation.
 const OCCLUSION_SLOPE: f64 = 0.01;
@@ -12,12 +12,15 @@ fn like(map: Shape) -> Shape {
     Shape::new(map.n(), 1, map.h(), map.w())
 }
 
-fn from_fn<T: Scalar>(map: Shape, keep: impl Fn(usize, usize) -> bool) -> Tensor<T> {
+/// Mask of the pixels for which `keep(sample, flat pixel index)` holds; samples in parallel.
+fn from_fn<T: Scalar>(map: Shape, keep: impl Fn(usize, usize) -> bool + Sync + Send) -> Tensor<T> {
     let plane = map.plane();
-    let mut data = Vec::with_capacity(map.n() * plane);
-    for n in 0..map.n() {
-        data.extend((0..plane).map(|i| if keep(n, i) { T::ONE } else { T::ZERO }));
-    }
+    let mut data = vec![T::ZERO; map.n() * plane];
+    par::for_each_chunk(&mut data, plane.max(1), |n, chunk| {
+        for (i, kept) in chunk.iter_mut().enumerate() {
+            *kept = if keep(n, i) { T::ONE } else { T::ZERO };
+        }
+    });
     Tensor::from_vec(like(map), data)
 }
 
@@ -56,17 +59,9 @@ pub fn above<T: Scalar>(map: &Tensor<T>, channel: usize, threshold: f64) -> Tens
 /// **Panics** when the sizes differ.
 #[must_use]
 #[track_caller]
-pub fn static_pixels<T: Scalar>(
-    rigid: &Tensor<T>,
-    optical: &Tensor<T>,
-    within: Option<&Tensor<T>>,
-) -> Tensor<T> {
+pub fn static_pixels<T: Scalar>(rigid: &Tensor<T>, optical: &Tensor<T>, within: Option<&Tensor<T>>) -> Tensor<T> {
     let s = rigid.shape();
-    assert!(
-        like(s) == like(optical.shape()),
-        "static_pixels: {s} and {} differ",
-        optical.shape()
-    );
+    assert!(like(s) == like(optical.shape()), "static_pixels: {s} and {} differ", optical.shape());
     let inside = |n: usize, i: usize| within.is_none_or(|m| m.plane(n, 0)[i] != T::ZERO);
     let distance = |n: usize, i: usize| {
         let part = |c: usize| (rigid.plane(n, c)[i] - optical.plane(n, c)[i]).to_f64();
@@ -87,9 +82,7 @@ pub fn static_pixels<T: Scalar>(
 pub fn backward_at_forward<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Tensor<T> {
     let tape = Tape::new();
     let coords = tape.constant(pixels_plus(forward));
-    tape.constant(backward.clone())
-        .bilinear_sample(coords, SamplePadding::Zeros)
-        .value()
+    tape.constant(backward.clone()).bilinear_sample(coords, SamplePadding::Zeros).value()
 }
 
 /// Pixel grid plus flow, (N,2,H,W).
@@ -124,31 +117,19 @@ pub fn not_occluded<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Ten
 #[track_caller]
 pub fn all_of<T: Scalar>(masks: &[&Tensor<T>]) -> Tensor<T> {
     let shape = masks.first().expect("all_of: no mask given").shape();
-    assert!(
-        masks.iter().all(|m| m.shape() == shape),
-        "all_of: masks of different shapes"
-    );
-    from_fn(shape, |n, i| {
-        masks.iter().all(|m| m.plane(n, 0)[i] != T::ZERO)
-    })
+    assert!(masks.iter().all(|m| m.shape() == shape), "all_of: masks of different shapes");
+    from_fn(shape, |n, i| masks.iter().all(|m| m.plane(n, 0)[i] != T::ZERO))
 }
 
 /// Pixels of a mask that also satisfy a test on (sample, flat pixel index).
-pub(crate) fn and_where<T: Scalar>(
-    mask: &Tensor<T>,
-    keep: impl Fn(usize, usize) -> bool,
-) -> Tensor<T> {
-    from_fn(mask.shape(), |n, i| {
-        mask.plane(n, 0)[i] != T::ZERO && keep(n, i)
-    })
+pub(crate) fn and_where<T: Scalar>(mask: &Tensor<T>, keep: impl Fn(usize, usize) -> bool + Sync + Send) -> Tensor<T> {
+    from_fn(mask.shape(), |n, i| mask.plane(n, 0)[i] != T::ZERO && keep(n, i))
 }
 
 /// Number of pixels of a mask, image by image.
 #[must_use]
 pub fn counts<T: Scalar>(mask: &Tensor<T>) -> Vec<usize> {
-    (0..mask.shape().n())
-        .map(|n| mask.plane(n, 0).iter().filter(|&&m| m != T::ZERO).count())
-        .collect()
+    (0..mask.shape().n()).map(|n| mask.plane(n, 0).iter().filter(|&&m| m != T::ZERO).count()).collect()
 }
 
 #[cfg(test)]
@@ -167,19 +148,10 @@ mod tests {
 
     #[test]
     fn one_outlier_is_not_static() {
-        let (zero, moved) = (
-            flow([0.0; 4], [0.0; 4]),
-            flow([0.1, 0.2, 3.0, 0.1], [0.0; 4]),
-        );
-        assert_eq!(
-            static_pixels(&zero, &moved, None).to_vec(),
-            [1.0, 1.0, 0.0, 1.0]
-        );
+        let (zero, moved) = (flow([0.0; 4], [0.0; 4]), flow([0.1, 0.2, 3.0, 0.1], [0.0; 4]));
+        assert_eq!(static_pixels(&zero, &moved, None).to_vec(), [1.0, 1.0, 0.0, 1.0]);
         let within = Tensor::from_vec(Shape::new(1, 1, 2, 2), vec![1.0, 1.0, 0.0, 1.0]);
-        assert_eq!(
-            static_pixels(&zero, &moved, Some(&within)).to_vec(),
-            [1.0, 0.0, 0.0, 1.0]
-        );
+        assert_eq!(static_pixels(&zero, &moved, Some(&within)).to_vec(), [1.0, 0.0, 0.0, 1.0]);
     }
 
     #[test]
@@ -193,18 +165,9 @@ mod tests {
     fn combinations() {
         let m = |v: [f64; 4]| Tensor::from_vec(Shape::new(1, 1, 2, 2), v.to_vec());
         let both = all_of(&[&m([1.0, 1.0, 0.0, 1.0]), &m([0.0, 1.0, 1.0, 1.0])]);
-        assert_eq!(
-            (both.to_vec(), counts(&both)),
-            (vec![0.0, 1.0, 0.0, 1.0], vec![2])
-        );
-        assert_eq!(
-            above(&m([0.1, 0.2, f64::NAN, -1.0]), 0, 0.1).to_vec(),
-            [0.0, 1.0, 0.0, 0.0]
-        );
-        assert_eq!(
-            and_where(&both, |_, i| i > 2).to_vec(),
-            [0.0, 0.0, 0.0, 1.0]
-        );
+        assert_eq!((both.to_vec(), counts(&both)), (vec![0.0, 1.0, 0.0, 1.0], vec![2]));
+        assert_eq!(above(&m([0.1, 0.2, f64::NAN, -1.0]), 0, 0.1).to_vec(), [0.0, 1.0, 0.0, 0.0]);
+        assert_eq!(and_where(&both, |_, i| i > 2).to_vec(), [0.0, 0.0, 0.0, 1.0]);
         assert_eq!(everywhere::<f32>(Shape::new(1, 2, 1, 3)).to_vec(), [1.0; 3]);
     }
 }

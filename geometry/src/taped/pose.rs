@@ -19,10 +19,7 @@ impl<'t, T: Scalar> Pose<'t, T> {
     #[must_use]
     pub fn inverse(self) -> Self {
         let rotation = self.rotation.transpose_hw();
-        Self {
-            rotation,
-            translation: rotate(rotation, self.translation).neg(),
-        }
+        Self { rotation, translation: rotate(rotation, self.translation).neg() }
     }
 
     /// `R^T t`, the translations in the target frame (N,3,1,1).
@@ -34,10 +31,7 @@ impl<'t, T: Scalar> Pose<'t, T> {
     /// The same values without history.
     #[must_use]
     pub fn detach(self) -> Self {
-        Self {
-            rotation: self.rotation.detach(),
-            translation: self.translation.detach(),
-        }
+        Self { rotation: self.rotation.detach(), translation: self.translation.detach() }
     }
 
     /// Values as plain motions, one a sample.
@@ -61,12 +55,8 @@ pub fn pose_tensors<T: Scalar>(motions: &[Se3]) -> (Tensor<T>, Tensor<T>) {
     assert!(!motions.is_empty(), "pose_tensors: no motion given");
     let n = motions.len();
     (
-        Tensor::from_fn(Shape::new(n, 1, 3, 3), |n, _, i, j| {
-            T::from_f64(motions[n].rotation[(i, j)])
-        }),
-        Tensor::from_fn(Shape::new(n, 3, 1, 1), |n, i, _, _| {
-            T::from_f64(motions[n].translation[i])
-        }),
+        Tensor::from_fn(Shape::new(n, 1, 3, 3), |n, _, i, j| T::from_f64(motions[n].rotation[(i, j)])),
+        Tensor::from_fn(Shape::new(n, 3, 1, 1), |n, i, _, _| T::from_f64(motions[n].translation[i])),
     )
 }
 
@@ -74,9 +64,7 @@ pub fn pose_tensors<T: Scalar>(motions: &[Se3]) -> (Tensor<T>, Tensor<T>) {
 #[track_caller]
 pub(crate) fn rotate<'t, T: Scalar>(rotation: Var<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
     let n = x.shape().n();
-    rotation
-        .matmul(x.reshape(Shape::new(n, 1, 3, 1)))
-        .reshape(Shape::new(n, 3, 1, 1))
+    rotation.matmul(x.reshape(Shape::new(n, 1, 3, 1))).reshape(Shape::new(n, 3, 1, 1))
 }
 
 /// Motion of a network output that always reads its two frames in temporal order.
@@ -93,10 +81,7 @@ pub fn source_from_target<'t, T: Scalar>(
     invert: bool,
     form: RotationForm,
 ) -> Pose<'t, T> {
-    let pose = Pose {
-        rotation: rotation_matrix(axis_angle, form),
-        translation,
-    };
+    let pose = Pose { rotation: rotation_matrix(axis_angle, form), translation };
     if invert { pose.inverse() } else { pose }
 }
 
@@ -111,12 +96,7 @@ mod tests {
         let tape = Tape::<f64>::new();
         let shape = Shape::new(2, 3, 1, 1);
         let (w, tau) = (random(1, shape, -0.1, 0.1), random(2, shape, -1.0, 1.0));
-        let pose = source_from_target(
-            tape.leaf(w),
-            tape.leaf(tau.clone()),
-            true,
-            RotationForm::Exponential,
-        );
+        let pose = source_from_target(tape.leaf(w), tape.leaf(tau.clone()), true, RotationForm::Exponential);
         let a = pose.translation_in_target_frame().value();
         for (a, tau) in a.data().iter().zip(tau.data()) {
             assert!((a + tau).abs() < 1e-14);
@@ -127,20 +107,10 @@ mod tests {
     fn agrees_with_the_plain_motions() {
         let tape = Tape::<f64>::new();
         let shape = Shape::new(3, 3, 1, 1);
-        let (w, tau) = (
-            random::<f64>(5, shape, -0.5, 0.5),
-            random::<f64>(6, shape, -1.0, 1.0),
-        );
-        let vector = |t: &Tensor<f64>, n: usize| {
-            nalgebra::Vector3::from_column_slice(&t.data()[3 * n..3 * n + 3])
-        };
+        let (w, tau) = (random::<f64>(5, shape, -0.5, 0.5), random::<f64>(6, shape, -1.0, 1.0));
+        let vector = |t: &Tensor<f64>, n: usize| nalgebra::Vector3::from_column_slice(&t.data()[3 * n..3 * n + 3]);
         for invert in [false, true] {
-            let pose = source_from_target(
-                tape.leaf(w.clone()),
-                tape.leaf(tau.clone()),
-                invert,
-                RotationForm::Exponential,
-            );
+            let pose = source_from_target(tape.leaf(w.clone()), tape.leaf(tau.clone()), invert, RotationForm::Exponential);
             for (n, motion) in pose.to_se3().into_iter().enumerate() {
                 let mut expected = Se3::from_rotation_vector(&vector(&w, n), vector(&tau, n));
                 if invert {
@@ -164,9 +134,7 @@ mod tests {
                 |_, v| {
                     let pose = source_from_target(v[0], v[1], invert, RotationForm::Exponential);
                     let a = pose.translation_in_target_frame();
-                    weighted_sum(pose.rotation, 3)
-                        .add(weighted_sum(pose.translation, 4))
-                        .add(weighted_sum(a, 5))
+                    weighted_sum(pose.rotation, 3).add(weighted_sum(pose.translation, 4)).add(weighted_sum(a, 5))
                 },
                 GradCheck::default(),
             );

@@ -29,23 +29,11 @@ pub fn rigid_flow<'t, T: Scalar>(
     intrinsics: &[Intrinsics],
 ) -> Var<'t, T> {
     let shape = depth.shape();
-    assert!(
-        shape.c() == 1,
-        "rigid_flow: depth has shape (N, 1, H, W), got {shape}"
-    );
-    check_motion(
-        "rigid_flow",
-        shape,
-        rotation.shape(),
-        translation.shape(),
-        intrinsics,
-    );
+    assert!(shape.c() == 1, "rigid_flow: depth has shape (N, 1, H, W), got {shape}");
+    check_motion("rigid_flow", shape, rotation.shape(), translation.shape(), intrinsics);
     let (r, t, z) = (rotation.value(), translation.value(), depth.value());
-    let motions: Vec<Motion<T>> = intrinsics
-        .iter()
-        .enumerate()
-        .map(|(n, k)| Motion::new(k, r.data(), t.data(), n, false))
-        .collect();
+    let motions: Vec<Motion<T>> =
+        intrinsics.iter().enumerate().map(|(n, k)| Motion::new(k, r.data(), t.data(), n, false)).collect();
     let tape = depth.tape();
     let mut out = tape.scratch(3 * shape.len());
     forward(&motions, shape, z.data(), &mut out);
@@ -65,27 +53,11 @@ pub fn rigid_flow<'t, T: Scalar>(
 
 /// Shape checks shared with the alignment.
 #[track_caller]
-pub(crate) fn check_motion(
-    op: &str,
-    map: Shape,
-    rotation: Shape,
-    translation: Shape,
-    intrinsics: &[Intrinsics],
-) {
+pub(crate) fn check_motion(op: &str, map: Shape, rotation: Shape, translation: Shape, intrinsics: &[Intrinsics]) {
     let n = map.n();
-    assert!(
-        rotation == Shape::new(n, 1, 3, 3),
-        "{op}: rotation has shape ({n}, 1, 3, 3), got {rotation}"
-    );
-    assert!(
-        translation == Shape::new(n, 3, 1, 1),
-        "{op}: translation has shape ({n}, 3, 1, 1), got {translation}"
-    );
-    assert!(
-        intrinsics.len() == n,
-        "{op}: {} cameras for {n} samples",
-        intrinsics.len()
-    );
+    assert!(rotation == Shape::new(n, 1, 3, 3), "{op}: rotation has shape ({n}, 1, 3, 3), got {rotation}");
+    assert!(translation == Shape::new(n, 3, 1, 1), "{op}: translation has shape ({n}, 3, 1, 1), got {translation}");
+    assert!(intrinsics.len() == n, "{op}: {} cameras for {n} samples", intrinsics.len());
     for (i, k) in intrinsics.iter().enumerate() {
         assert!(
             (k.height, k.width) == (map.h(), map.w()),
@@ -99,27 +71,16 @@ pub(crate) fn check_motion(
 }
 
 /// Adds the sums of a range to the gradient of parent `k`.
-pub(crate) fn add_sums<T: Scalar>(
-    grads: &mut GradSink<'_, T>,
-    k: usize,
-    sums: &[[f64; 12]],
-    range: std::ops::Range<usize>,
-) {
+pub(crate) fn add_sums<T: Scalar>(grads: &mut GradSink<'_, T>, k: usize, sums: &[[f64; 12]], range: std::ops::Range<usize>) {
     if let Some(mut slot) = grads.slot(k) {
         let values = sums.iter().flat_map(|s| &s[range.clone()]);
-        slot.as_mut_slice()
-            .iter_mut()
-            .zip(values)
-            .for_each(|(g, &x)| *g += T::from_f64(x));
+        slot.as_mut_slice().iter_mut().zip(values).for_each(|(g, &x)| *g += T::from_f64(x));
     }
 }
 
 /// Adds band sums up, sample by sample in order.
 pub(crate) fn sums_per_sample(band_sums: &[[f64; 12]], height: usize) -> Vec<[f64; 12]> {
-    band_sums
-        .chunks(bands_per_sample(height))
-        .map(|bands| std::array::from_fn(|k| bands.iter().map(|s| s[k]).sum()))
-        .collect()
+    band_sums.chunks(bands_per_sample(height)).map(|bands| std::array::from_fn(|k| bands.iter().map(|s| s[k]).sum())).collect()
 }
 
 fn forward<T: Scalar>(motions: &[Motion<T>], shape: Shape, depth: &[T], out: &mut [T]) {
@@ -129,10 +90,7 @@ fn forward<T: Scalar>(motions: &[Motion<T>], shape: Shape, depth: &[T], out: &mu
         let x = m.ray_columns(w);
         let depth = &depth[band.sample * h * w..][..h * w];
         let [u, v, z_s] = band.channels;
-        let rows = u
-            .chunks_exact_mut(w)
-            .zip(v.chunks_exact_mut(w))
-            .zip(z_s.chunks_exact_mut(w));
+        let rows = u.chunks_exact_mut(w).zip(v.chunks_exact_mut(w)).zip(z_s.chunks_exact_mut(w));
         for (i, ((u, v), z_s)) in rows.enumerate() {
             let row = band.first_row + i;
             forward_row(m, m.ray_row(row), &x, &depth[row * w..][..w], u, v, z_s);
@@ -141,15 +99,7 @@ fn forward<T: Scalar>(motions: &[Motion<T>], shape: Shape, depth: &[T], out: &mu
 }
 
 #[inline(always)]
-fn forward_row<T: Scalar>(
-    m: &Motion<T>,
-    y: T,
-    x: &[T],
-    z: &[T],
-    u: &mut [T],
-    v: &mut [T],
-    z_s: &mut [T],
-) {
+fn forward_row<T: Scalar>(m: &Motion<T>, y: T, x: &[T], z: &[T], u: &mut [T], v: &mut [T], z_s: &mut [T]) {
     let w = x.len();
     let (z, u, v, z_s) = (&z[..w], &mut u[..w], &mut v[..w], &mut z_s[..w]);
     let c: [T; 3] = std::array::from_fn(|i| m.e[i][1] * y + m.e[i][2]);
@@ -166,34 +116,17 @@ fn forward_row<T: Scalar>(
 }
 
 /// Fills the gradient of the depth and returns the sums for rotation (9) and translation (3) of every sample.
-fn backward<T: Scalar>(
-    motions: &[Motion<T>],
-    shape: Shape,
-    depth: &[T],
-    g: &[T],
-    grad_depth: &mut [T],
-) -> Vec<[f64; 12]> {
+fn backward<T: Scalar>(motions: &[Motion<T>], shape: Shape, depth: &[T], g: &[T], grad_depth: &mut [T]) -> Vec<[f64; 12]> {
     let (h, w) = (shape.h(), shape.w());
     let mut band_sums = vec![[0.0; 12]; shape.n() * bands_per_sample(h)];
-    let items: Vec<_> = bands::<T, 1>(grad_depth, h, w)
-        .into_iter()
-        .zip(&mut band_sums)
-        .collect();
+    let items: Vec<_> = bands::<T, 1>(grad_depth, h, w).into_iter().zip(&mut band_sums).collect();
     par::for_each_item(items, |_, (band, sums)| {
         backward_band(&motions[band.sample], h, w, depth, g, band, sums);
     });
     sums_per_sample(&band_sums, h)
 }
 
-fn backward_band<T: Scalar>(
-    m: &Motion<T>,
-    h: usize,
-    w: usize,
-    depth: &[T],
-    g: &[T],
-    band: Band<'_, T, 1>,
-    sums: &mut [f64; 12],
-) {
+fn backward_band<T: Scalar>(m: &Motion<T>, h: usize, w: usize, depth: &[T], g: &[T], band: Band<'_, T, 1>, sums: &mut [f64; 12]) {
     let x = m.ray_columns(w);
     let plane = h * w;
     let depth = &depth[band.sample * plane..][..plane];
@@ -204,15 +137,7 @@ fn backward_band<T: Scalar>(
         let row = band.first_row + i;
         let y = m.ray_row(row);
         let part = |k: usize| &g[k * plane + row * w..][..w];
-        backward_row(
-            m,
-            y,
-            &x,
-            &depth[row * w..][..w],
-            [part(0), part(1), part(2)],
-            grad,
-            &mut scratch,
-        );
+        backward_row(m, y, &x, &depth[row * w..][..w], [part(0), part(1), part(2)], grad, &mut scratch);
         let y = y.to_f64();
         for k in 0..3 {
             let (to_e, to_t) = (&scratch[k * w..][..w], &scratch[(3 + k) * w..][..w]);
@@ -227,15 +152,7 @@ fn backward_band<T: Scalar>(
 
 /// Writes the depth gradient of a row and, into `scratch`, the gradients of `e` (3 rows) and `t` (3 rows).
 #[inline(always)]
-fn backward_row<T: Scalar>(
-    m: &Motion<T>,
-    y: T,
-    x: &[T],
-    z: &[T],
-    g: [&[T]; 3],
-    grad: &mut [T],
-    scratch: &mut [T],
-) {
+fn backward_row<T: Scalar>(m: &Motion<T>, y: T, x: &[T], z: &[T], g: [&[T]; 3], grad: &mut [T], scratch: &mut [T]) {
     let w = x.len();
     let (z, grad) = (&z[..w], &mut grad[..w]);
     let [gu, gv, gz] = g.map(|g| &g[..w]);
@@ -251,18 +168,11 @@ fn backward_row<T: Scalar>(
     for j in 0..w {
         let e: [T; 3] = std::array::from_fn(|i| m.e[i][0] * x[j] + c[i]);
         let depth = z[j] * (T::ONE + e[2]) + m.t[2];
-        let (inverse, gz) = if depth > min {
-            (T::ONE / depth, gz[j])
-        } else {
-            (T::ZERO, T::ZERO)
-        };
+        let (inverse, gz) = if depth > min { (T::ONE / depth, gz[j]) } else { (T::ZERO, T::ZERO) };
         let (nx, ny) = (e[0] - x[j] * e[2], e[1] - y * e[2]);
         let a = gu[j] * m.fu * inverse;
         let b = gv[j] * m.fv * inverse;
-        let c = gz
-            - (a * (z[j] * nx + (m.t[0] - x[j] * m.t[2]))
-                + b * (z[j] * ny + (m.t[1] - y * m.t[2])))
-                * inverse;
+        let c = gz - (a * (z[j] * nx + (m.t[0] - x[j] * m.t[2])) + b * (z[j] * ny + (m.t[1] - y * m.t[2]))) * inverse;
         let s = c - a * x[j] - b * y;
         grad[j] = a * nx + b * ny + c * (T::ONE + e[2]);
         tx[j] = a;
@@ -284,22 +194,13 @@ mod tests {
     use nalgebra::{Vector2, Vector3};
 
     fn cameras() -> [Intrinsics; 2] {
-        [
-            Intrinsics::new(12.0, 13.0, 5.2, 9.1, 11, 19).unwrap(),
-            Intrinsics::new(9.0, 8.0, 4.0, 8.0, 11, 19).unwrap(),
-        ]
+        [Intrinsics::new(12.0, 13.0, 5.2, 9.1, 11, 19).unwrap(), Intrinsics::new(9.0, 8.0, 4.0, 8.0, 11, 19).unwrap()]
     }
 
     fn motions() -> [Se3; 2] {
         [
-            Se3::from_rotation_vector(
-                &Vector3::new(0.05, -0.08, 0.1),
-                Vector3::new(0.2, -0.1, 0.4),
-            ),
-            Se3::from_rotation_vector(
-                &Vector3::new(-0.02, 0.03, 0.06),
-                Vector3::new(0.0, 0.3, -0.5),
-            ),
+            Se3::from_rotation_vector(&Vector3::new(0.05, -0.08, 0.1), Vector3::new(0.2, -0.1, 0.4)),
+            Se3::from_rotation_vector(&Vector3::new(-0.02, 0.03, 0.06), Vector3::new(0.0, 0.3, -0.5)),
         ]
     }
 
@@ -329,35 +230,22 @@ mod tests {
     #[test]
     fn gradients_match_differences() {
         let (r, t) = pose_tensors(&motions());
-        gradcheck(
-            &[depth(), r, t],
-            |_, v| weighted_sum(rigid_flow(v[0], v[1], v[2], &cameras()), 5),
-            GradCheck::default(),
-        )
-        .assert_ok();
+        gradcheck(&[depth(), r, t], |_, v| weighted_sum(rigid_flow(v[0], v[1], v[2], &cameras()), 5), GradCheck::default())
+            .assert_ok();
     }
 
     #[test]
     fn points_behind_the_source_get_no_flow_and_no_gradient() {
         let tape = Tape::new();
-        let (r, t) = pose_tensors(&[Se3 {
-            translation: Vector3::new(0.3, 0.1, -5.0),
-            ..Se3::identity()
-        }]);
+        let (r, t) = pose_tensors(&[Se3 { translation: Vector3::new(0.3, 0.1, -5.0), ..Se3::identity() }]);
         let camera = Intrinsics::new(3.0, 3.0, 1.0, 0.0, 3, 1).unwrap();
-        let z = tape.leaf(Tensor::from_vec(
-            Shape::new(1, 1, 1, 3),
-            vec![4.0, 5.0, 8.0],
-        ));
+        let z = tape.leaf(Tensor::from_vec(Shape::new(1, 1, 1, 3), vec![4.0, 5.0, 8.0]));
         let (r, t) = (tape.leaf(r), tape.leaf(t));
         let out = rigid_flow(z, r, t, &[camera]);
         assert_eq!(out.value().to_vec()[..2], [0.0, 0.0]);
         assert_eq!(out.value().to_vec()[6..], [-1.0, 0.0, 3.0]);
         let grad = tape.backward(out.sum()).wrt(z).to_vec();
-        assert!(
-            grad[0] == 0.0 && grad[1] == 0.0 && grad[2] != 0.0,
-            "{grad:?}"
-        );
+        assert!(grad[0] == 0.0 && grad[1] == 0.0 && grad[2] != 0.0, "{grad:?}");
     }
 
     #[test]
@@ -370,20 +258,13 @@ mod tests {
             let (r, t) = pose_tensors(&[m]);
             rigid_flow(tape.leaf(z.cast()), tape.leaf(r), tape.leaf(t), &[camera]).value()
         };
-        assert!(
-            run32(Se3::identity()).data()[..2 * shape.len()]
-                .iter()
-                .all(|&f| f == 0.0)
-        );
+        assert!(run32(Se3::identity()).data()[..2 * shape.len()].iter().all(|&f| f == 0.0));
         let tape = Tape::<f64>::new();
         let (r, t) = pose_tensors(&[testing::drive_next()]);
         let exact = rigid_flow(tape.leaf(z.clone()), tape.leaf(r), tape.leaf(t), &[camera]).value();
         let single = run32(testing::drive_next());
-        let worst = exact.data()[..2 * shape.len()]
-            .iter()
-            .zip(single.data())
-            .map(|(a, &b)| (a - f64::from(b)).abs())
-            .fold(0.0, f64::max);
+        let worst =
+            exact.data()[..2 * shape.len()].iter().zip(single.data()).map(|(a, &b)| (a - f64::from(b)).abs()).fold(0.0, f64::max);
         assert!(worst < 2e-4, "{worst}");
     }
 
@@ -395,14 +276,7 @@ mod tests {
             let vars = [tape.leaf(depth().cast::<f32>()), tape.leaf(r), tape.leaf(t)];
             let loss = weighted_sum(rigid_flow(vars[0], vars[1], vars[2], &cameras()), 5);
             let grads = tape.backward(loss);
-            vars.map(|v| {
-                grads
-                    .wrt(v)
-                    .to_vec()
-                    .iter()
-                    .map(|x| x.to_bits())
-                    .collect::<Vec<_>>()
-            })
+            vars.map(|v| grads.wrt(v).to_vec().iter().map(|x| x.to_bits()).collect::<Vec<_>>())
         };
         let one = par::with_threads(1, run);
         assert_eq!(one, par::with_threads(2, run));

@@ -15,19 +15,16 @@ pub fn soft_abs<T: Scalar>(x: Var<'_, T>, eps: f64) -> Var<'_, T> {
     let mut y = x.tape().scratch(value.shape().len());
     kernel::map(&mut y, value.data(), |x| (x * x + tip * tip).sqrt() - tip);
     let y = x.tape().tensor(value.shape(), y);
-    let record = move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-        if let Some(mut slot) = grads.slot(0) {
-            slot.write(|out| {
-                kernel::zip(out, value.data(), g.data(), |x, g| {
-                    if x == T::ZERO {
-                        T::ZERO
-                    } else {
-                        g * x / (x * x + tip * tip).sqrt()
-                    }
+    let record =
+        move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+            if let Some(mut slot) = grads.slot(0) {
+                slot.write(|out| {
+                    kernel::zip(out, value.data(), g.data(), |x, g| {
+                        if x == T::ZERO { T::ZERO } else { g * x / (x * x + tip * tip).sqrt() }
+                    });
                 });
-            });
-        }
-    };
+            }
+        };
     x.tape().push("soft_abs", y, &[x], record)
 }
 
@@ -37,18 +34,11 @@ pub fn soft_abs<T: Scalar>(x: Var<'_, T>, eps: f64) -> Var<'_, T> {
 /// **Panics** when the shapes differ.
 #[track_caller]
 pub fn length<'t, T: Scalar>(x: Var<'t, T>, y: Var<'t, T>, eps: f64) -> Var<'t, T> {
-    assert!(
-        x.shape() == y.shape(),
-        "length: shapes {} and {} differ",
-        x.shape(),
-        y.shape()
-    );
+    assert!(x.shape() == y.shape(), "length: shapes {} and {} differ", x.shape(), y.shape());
     let tip = T::from_f64(eps);
     let (a, b) = (x.value(), y.value());
     let mut out = x.tape().scratch(a.shape().len());
-    kernel::zip(&mut out, a.data(), b.data(), |x, y| {
-        (x * x + y * y + tip * tip).sqrt() - tip
-    });
+    kernel::zip(&mut out, a.data(), b.data(), |x, y| (x * x + y * y + tip * tip).sqrt() - tip);
     let out = x.tape().tensor(a.shape(), out);
     let saved = out.clone();
     let record = move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
@@ -56,11 +46,7 @@ pub fn length<'t, T: Scalar>(x: Var<'t, T>, y: Var<'t, T>, eps: f64) -> Var<'t, 
             if let Some(mut slot) = grads.slot(k) {
                 slot.write(|grad| {
                     kernel::zip3(grad, part.data(), saved.data(), g.data(), |x, l, g| {
-                        if x == T::ZERO {
-                            T::ZERO
-                        } else {
-                            g * x / (l + tip)
-                        }
+                        if x == T::ZERO { T::ZERO } else { g * x / (l + tip) }
                     });
                 });
             }
@@ -84,10 +70,7 @@ mod tests {
         let l = length(x, y, 0.0);
         assert_eq!(l.value().data(), [5.0, 0.0]);
         let grads = tape.backward(l.sum());
-        assert_eq!(
-            (grads.wrt(x).to_vec(), grads.wrt(y).to_vec()),
-            (vec![0.6, 0.0], vec![-0.8, 0.0])
-        );
+        assert_eq!((grads.wrt(x).to_vec(), grads.wrt(y).to_vec()), (vec![0.6, 0.0], vec![-0.8, 0.0]));
         let s = soft_abs(x, 4.0);
         assert_eq!(s.value().data(), [1.0, 0.0]);
         assert_eq!(tape.backward(s.sum()).wrt(x).to_vec(), [0.6, 0.0]);
@@ -98,18 +81,8 @@ mod tests {
         let shape = Shape::new(2, 1, 3, 5);
         let inputs = [random(1, shape, 0.5, 2.0), random(2, shape, -2.0, -0.5)];
         for eps in [0.0, 0.7] {
-            gradcheck(
-                &inputs,
-                |_, v| weighted_sum(length(v[0], v[1], eps), 3),
-                GradCheck::default(),
-            )
-            .assert_ok();
-            gradcheck(
-                &inputs[1..],
-                |_, v| weighted_sum(soft_abs(v[0], eps), 3),
-                GradCheck::default(),
-            )
-            .assert_ok();
+            gradcheck(&inputs, |_, v| weighted_sum(length(v[0], v[1], eps), 3), GradCheck::default()).assert_ok();
+            gradcheck(&inputs[1..], |_, v| weighted_sum(soft_abs(v[0], eps), 3), GradCheck::default()).assert_ok();
         }
     }
 }

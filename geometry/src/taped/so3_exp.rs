@@ -38,11 +38,7 @@ pub fn so3_exp<T: Scalar>(w: Var<'_, T>) -> Var<'_, T> {
 #[track_caller]
 pub fn rotation_matrix<T: Scalar>(w: Var<'_, T>, form: RotationForm) -> Var<'_, T> {
     let n = w.shape().n();
-    assert!(
-        w.shape() == Shape::new(n, 3, 1, 1),
-        "so3_exp: rotation vectors have shape (N, 3, 1, 1), got {}",
-        w.shape()
-    );
+    assert!(w.shape() == Shape::new(n, 3, 1, 1), "so3_exp: rotation vectors have shape (N, 3, 1, 1), got {}", w.shape());
     let vectors = w.value();
     let mut out = w.tape().scratch(9 * n);
     for (r, w) in out.chunks_exact_mut(9).zip(vectors.data().chunks_exact(3)) {
@@ -55,9 +51,7 @@ pub fn rotation_matrix<T: Scalar>(w: Var<'_, T>, form: RotationForm) -> Var<'_, 
                 let pairs = vectors.data().chunks_exact(3).zip(g.data().chunks_exact(9));
                 for (out, (w, g)) in grad.chunks_exact_mut(3).zip(pairs) {
                     let gradient = pullback(&vector(w), &matrix(g), form);
-                    out.iter_mut()
-                        .zip(gradient.iter())
-                        .for_each(|(o, &x)| *o = T::from_f64(x));
+                    out.iter_mut().zip(gradient.iter()).for_each(|(o, &x)| *o = T::from_f64(x));
                 }
             });
         }
@@ -71,9 +65,7 @@ fn value(w: &Vector3<f64>, form: RotationForm) -> Matrix3<f64> {
         RotationForm::Guarded => {
             let theta = w.norm();
             let a = w / (theta + GUARD);
-            Matrix3::identity() * theta.cos()
-                + a * a.transpose() * (1.0 - theta.cos())
-                + so3::hat(&a) * theta.sin()
+            Matrix3::identity() * theta.cos() + a * a.transpose() * (1.0 - theta.cos()) + so3::hat(&a) * theta.sin()
         }
     }
 }
@@ -151,21 +143,12 @@ mod tests {
         for (seed, size) in [(1, 0.02), (2, 0.5), (3, 1.5)] {
             let w = random(seed, shape, -size, size);
             for form in [RotationForm::Exponential, RotationForm::Guarded] {
-                gradcheck(
-                    std::slice::from_ref(&w),
-                    |_, v| weighted_sum(rotation_matrix(v[0], form), 9),
-                    GradCheck::default(),
-                )
-                .assert_ok();
+                gradcheck(std::slice::from_ref(&w), |_, v| weighted_sum(rotation_matrix(v[0], form), 9), GradCheck::default())
+                    .assert_ok();
             }
         }
         let zero = Tensor::zeros(shape);
-        gradcheck(
-            &[zero],
-            |_, v| weighted_sum(so3_exp(v[0]), 9),
-            GradCheck::default(),
-        )
-        .assert_ok();
+        gradcheck(&[zero], |_, v| weighted_sum(so3_exp(v[0]), 9), GradCheck::default()).assert_ok();
     }
 
     #[test]

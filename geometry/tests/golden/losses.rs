@@ -3,9 +3,7 @@
 use crate::support::{Golden, close};
 use dimode_autodiff::{Shape, Tape, Tensor, Var};
 use dimode_geometry::Convention;
-use dimode_geometry::losses::{
-    AlignedPair, AxialVariant, LossOptions, LossTerm, PairInputs, axial, planar, radial, tangential,
-};
+use dimode_geometry::losses::{AlignedPair, AxialVariant, LossOptions, LossTerm, PairInputs, axial, planar, radial, tangential};
 use dimode_geometry::taped::pose::source_from_target;
 use dimode_geometry::taped::{RotationForm, masks};
 
@@ -38,10 +36,7 @@ fn pair<'t>(golden: &Golden, v: &[Var<'t, f64>; 5], options: &LossOptions) -> Al
     AlignedPair::new(&inputs, options)
 }
 
-fn terms<'t>(
-    pair: &AlignedPair<'t, f64>,
-    options: &LossOptions,
-) -> [(&'static str, LossTerm<'t, f64>); 4] {
+fn terms<'t>(pair: &AlignedPair<'t, f64>, options: &LossOptions) -> [(&'static str, LossTerm<'t, f64>); 4] {
     [
         ("L_pla", planar(pair, options)),
         ("L_axi", axial(pair, options)),
@@ -63,10 +58,7 @@ fn smooth_only(golden: &Golden, gradient: &[f64]) -> Vec<f64> {
         let (n, i) = (k / (2 * plane), k % plane);
         !(whole(n, i, 0) || whole(n, i, 1))
     };
-    let chosen: Vec<f64> = (0..gradient.len())
-        .filter(|&k| kept(k))
-        .map(|k| gradient[k])
-        .collect();
+    let chosen: Vec<f64> = (0..gradient.len()).filter(|&k| kept(k)).map(|k| gradient[k]).collect();
     assert!(chosen.len() > gradient.len() * 9 / 10);
     chosen
 }
@@ -77,41 +69,22 @@ fn check_values_and_gradients(golden: &Golden, row: &str, options: &LossOptions)
     let pair = pair(golden, &v, options);
     for (name, term) in terms(&pair, options) {
         let expected = golden.numbers(&format!("out.{row}.{name}"));
-        close(
-            &format!("{row} {name}"),
-            term.per_image.value().data(),
-            &expected,
-            1e-12,
-            1e-9,
-        );
+        close(&format!("{row} {name}"), term.per_image.value().data(), &expected, 1e-12, 1e-9);
         let grads = tape.backward(term.mean);
         for (leaf, var) in LEAVES.iter().zip(v) {
             let expected = golden.numbers(&format!("grad.{row}.{name}.{leaf}"));
             let (found, expected) = match *leaf {
-                "flow" => (
-                    smooth_only(golden, grads.wrt(var).data()),
-                    smooth_only(golden, &expected),
-                ),
+                "flow" => (smooth_only(golden, grads.wrt(var).data()), smooth_only(golden, &expected)),
                 _ => (grads.wrt(var).to_vec(), expected),
             };
             let scale = expected.iter().fold(0.0f64, |m, x| m.max(x.abs()));
-            close(
-                &format!("{row} {name} {leaf}"),
-                &found,
-                &expected,
-                1e-9 * scale + 1e-13,
-                1e-8,
-            );
+            close(&format!("{row} {name} {leaf}"), &found, &expected, 1e-9 * scale + 1e-13, 1e-8);
         }
     }
 }
 
 fn printed(convention: Convention) -> LossOptions {
-    LossOptions {
-        convention,
-        min_valid_fraction: 0.0,
-        ..LossOptions::literal()
-    }
+    LossOptions { convention, min_valid_fraction: 0.0, ..LossOptions::literal() }
 }
 
 #[test]
@@ -124,10 +97,7 @@ fn printed_losses_in_both_conventions() {
 #[test]
 fn aligned_maps_match() {
     let golden = Golden::open("dimode_literal");
-    for (row, convention) in [
-        ("literal", Convention::AsPrinted),
-        ("target", Convention::Consistent),
-    ] {
+    for (row, convention) in [("literal", Convention::AsPrinted), ("target", Convention::Consistent)] {
         let tape = Tape::new();
         let v = leaves(&golden, &tape);
         let pair = pair(&golden, &v, &printed(convention));
@@ -139,13 +109,7 @@ fn aligned_maps_match() {
             ("t_used", pair.translation),
         ] {
             let expected = golden.numbers(&format!("out.{row}.{name}"));
-            close(
-                &format!("{row} {name}"),
-                var.value().data(),
-                &expected,
-                1e-10,
-                1e-11,
-            );
+            close(&format!("{row} {name}"), var.value().data(), &expected, 1e-10, 1e-11);
         }
     }
 }
@@ -154,44 +118,19 @@ fn aligned_maps_match() {
 fn robust_losses_and_their_masks() {
     let golden = Golden::open("dimode_robust");
     for (row, convention, form) in [
-        (
-            "target_folded",
-            Convention::Consistent,
-            AxialVariant::Folded,
-        ),
-        (
-            "literal_signed",
-            Convention::AsPrinted,
-            AxialVariant::Signed,
-        ),
-        (
-            "target_pose_sign",
-            Convention::Consistent,
-            AxialVariant::PoseSign,
-        ),
+        ("target_folded", Convention::Consistent, AxialVariant::Folded),
+        ("literal_signed", Convention::AsPrinted, AxialVariant::Signed),
+        ("target_pose_sign", Convention::Consistent, AxialVariant::PoseSign),
     ] {
-        let options = LossOptions {
-            convention,
-            axial: form,
-            min_valid_fraction: 0.0,
-            ..LossOptions::robust()
-        };
+        let options = LossOptions { convention, axial: form, min_valid_fraction: 0.0, ..LossOptions::robust() };
         check_values_and_gradients(&golden, row, &options);
         let tape = Tape::new();
         let v = leaves(&golden, &tape);
         let pair = pair(&golden, &v, &options);
         let stored = |name: &str| golden.map(&format!("out.{row}.{name}"));
         assert_eq!(pair.mask.to_vec(), stored("m_base").to_vec(), "{row}");
-        assert_eq!(
-            planar(&pair, &options).counts,
-            masks::counts(&stored("m_pla")),
-            "{row}"
-        );
-        assert_eq!(
-            axial(&pair, &options).counts,
-            masks::counts(&stored("m_axi")),
-            "{row}"
-        );
+        assert_eq!(planar(&pair, &options).counts, masks::counts(&stored("m_pla")), "{row}");
+        assert_eq!(axial(&pair, &options).counts, masks::counts(&stored("m_axi")), "{row}");
     }
 }
 
@@ -217,30 +156,18 @@ fn exact_scene_costs_nothing_when_consistent_and_the_stored_amount_when_printed(
     let golden = Golden::open("dimode_exact");
     for source in ["next", "prev"] {
         let names = ["L_pla", "L_axi", "L_tan", "L_rad"];
-        for (row, convention) in [
-            ("literal", Convention::AsPrinted),
-            ("target", Convention::Consistent),
-        ] {
+        for (row, convention) in [("literal", Convention::AsPrinted), ("target", Convention::Consistent)] {
             let found = exact_values(&golden, source, &printed(convention));
             for (name, values) in names.iter().zip(found) {
                 let expected = golden.numbers(&format!("out.{source}.{row}.{name}"));
                 // An arccos next to cosine 1 cannot be better than the root of the rounding error.
-                close(
-                    &format!("{source} {row} {name}"),
-                    &values,
-                    &expected,
-                    5e-8,
-                    1e-8,
-                );
+                close(&format!("{source} {row} {name}"), &values, &expected, 5e-8, 1e-8);
             }
         }
         // The stored flows carry a division guard of 1e-7, which is what remains.
         for options in [LossOptions::robust(), LossOptions::pixels()] {
             for (name, values) in names.iter().zip(exact_values(&golden, source, &options)) {
-                assert!(
-                    values.iter().all(|x| x.abs() < 1e-7),
-                    "{source} {name}: {values:?}"
-                );
+                assert!(values.iter().all(|x| x.abs() < 1e-7), "{source} {name}: {values:?}");
             }
         }
     }

@@ -14,16 +14,8 @@ pub struct Golden {
 impl Golden {
     /// Opens `tests/golden/losses/NAME.f64.safetensors`.
     pub fn open(name: &str) -> Self {
-        let path: PathBuf = [
-            env!("CARGO_MANIFEST_DIR"),
-            "..",
-            "tests",
-            "golden",
-            "losses",
-            &format!("{name}.f64.safetensors"),
-        ]
-        .iter()
-        .collect();
+        let path: PathBuf =
+            [env!("CARGO_MANIFEST_DIR"), "..", "tests", "golden", "losses", &format!("{name}.f64.safetensors")].iter().collect();
         let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         Self { bytes }
     }
@@ -33,11 +25,7 @@ impl Golden {
         let file = SafeTensors::deserialize(&self.bytes).expect("a safetensors file");
         let view = file.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}"));
         let data = match view.dtype() {
-            Dtype::F64 => view
-                .data()
-                .chunks_exact(8)
-                .map(|b| f64::from_le_bytes(b.try_into().unwrap()))
-                .collect(),
+            Dtype::F64 => view.data().chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect(),
             Dtype::U8 => view.data().iter().map(|&b| f64::from(b)).collect(),
             other => panic!("{name}: {other:?}"),
         };
@@ -67,10 +55,7 @@ impl Golden {
 
     /// Cameras of `in.K` for 32x24 pixels.
     pub fn cameras(&self) -> Vec<Intrinsics> {
-        self.numbers("in.K")
-            .chunks_exact(9)
-            .map(|k| Intrinsics::new(k[0], k[4], k[2], k[5], 32, 24).unwrap())
-            .collect()
+        self.numbers("in.K").chunks_exact(9).map(|k| Intrinsics::new(k[0], k[4], k[2], k[5], 32, 24).unwrap()).collect()
     }
 }
 
@@ -79,13 +64,7 @@ pub fn excess(a: &[f64], b: &[f64], atol: f64, rtol: f64) -> f64 {
     assert_eq!(a.len(), b.len());
     a.iter()
         .zip(b)
-        .map(|(a, b)| {
-            if a.is_finite() {
-                (a - b).abs() / (atol + rtol * b.abs())
-            } else {
-                f64::INFINITY
-            }
-        })
+        .map(|(a, b)| if a.is_finite() { (a - b).abs() / (atol + rtol * b.abs()) } else { f64::INFINITY })
         .fold(0.0, f64::max)
 }
 

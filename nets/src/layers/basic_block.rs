@@ -20,9 +20,7 @@ impl BasicBlock {
     /// The block stored under `path`.
     pub fn new(path: &str, inputs: usize, outputs: usize, stride: usize) -> Self {
         let conv = |name: &str, inputs, kernel| {
-            ConvLayer::new(format!("{path}.{name}"), inputs, outputs, kernel)
-                .without_bias()
-                .kaiming()
+            ConvLayer::new(format!("{path}.{name}"), inputs, outputs, kernel).without_bias().kaiming()
         };
         let norm = |name: &str| BatchNorm::new(format!("{path}.{name}"), outputs);
         let changes = stride != 1 || inputs != outputs;

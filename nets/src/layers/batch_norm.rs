@@ -21,10 +21,7 @@ pub struct BatchNorm {
 impl BatchNorm {
     /// The layer stored at `path`.
     pub fn new(path: impl Into<String>, channels: usize) -> Self {
-        Self {
-            path: path.into(),
-            channels,
-        }
+        Self { path: path.into(), channels }
     }
 
     fn part(&self, part: &str) -> String {
@@ -84,10 +81,7 @@ mod tests {
         let mut params = blueprint.init::<f64>(0);
         let tape = Tape::new();
         let mut binder = Binder::new(&tape, &params, Mode::Train);
-        let x = tape.constant(Tensor::from_vec(
-            Shape::new(2, 1, 1, 2),
-            vec![1.0, 2.0, 3.0, 6.0],
-        ));
+        let x = tape.constant(Tensor::from_vec(Shape::new(2, 1, 1, 2), vec![1.0, 2.0, 3.0, 6.0]));
         let y = layer.forward(&mut binder, x).value();
         // Mean 3, biased variance 3.5, unbiased 14/3.
         assert!((y.data()[0] + 2.0 / (3.5f64 + 1e-5).sqrt()).abs() < 1e-12);

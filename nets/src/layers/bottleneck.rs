@@ -39,9 +39,8 @@ pub struct Bottleneck {
 impl Bottleneck {
     /// The block stored under `path`. A skip convolution exists where stride or width change.
     pub fn new(path: &str, inputs: usize, outputs: usize, stride: usize, norm: Norm) -> Self {
-        let conv = |name: &str, inputs, outputs, kernel| {
-            ConvLayer::new(format!("{path}.{name}"), inputs, outputs, kernel).kaiming()
-        };
+        let conv =
+            |name: &str, inputs, outputs, kernel| ConvLayer::new(format!("{path}.{name}"), inputs, outputs, kernel).kaiming();
         let narrow = outputs / 4;
         let changes = stride != 1 || inputs != outputs;
         Self {

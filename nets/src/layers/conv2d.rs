@@ -26,13 +26,7 @@ impl ConvLayer {
             inputs,
             outputs,
             kernel: (kernel, kernel),
-            options: Conv2d {
-                stride: (1, 1),
-                padding: (padding, padding),
-                dilation: (1, 1),
-                groups: 1,
-                pad_mode: PadMode::Zero,
-            },
+            options: Conv2d { stride: (1, 1), padding: (padding, padding), dilation: (1, 1), groups: 1, pad_mode: PadMode::Zero },
             bias: true,
             kaiming: false,
         }
@@ -95,11 +89,7 @@ impl ConvLayer {
         let (kh, kw) = self.kernel;
         let inputs = self.inputs / self.options.groups;
         let default = Init::fan_in(inputs * kh * kw);
-        let weight = if self.kaiming {
-            Init::kaiming_fan_out(self.outputs * kh * kw)
-        } else {
-            default
-        };
+        let weight = if self.kaiming { Init::kaiming_fan_out(self.outputs * kh * kw) } else { default };
         blueprint.parameter(self.weight_path(), &[self.outputs, inputs, kh, kw], weight);
         if self.bias {
             blueprint.parameter(self.bias_path(), &[self.outputs], default);

@@ -14,9 +14,7 @@ pub struct ReflectConv {
 impl ReflectConv {
     /// The unit whose convolution is stored at `path`.
     pub fn new(path: impl Into<String>, inputs: usize, outputs: usize) -> Self {
-        Self {
-            conv: ConvLayer::new(path, inputs, outputs, 3).reflect(),
-        }
+        Self { conv: ConvLayer::new(path, inputs, outputs, 3).reflect() }
     }
 
     /// Adds weight and bias to the list.

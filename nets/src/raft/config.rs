@@ -17,11 +17,8 @@ pub enum FlowNetKind {
     RaftSmall,
 }
 
-const NAMES: &[(&str, FlowNetKind)] = &[
-    ("nano_raft", FlowNetKind::NanoRaft),
-    ("nano_raft_d4", FlowNetKind::NanoRaftD4),
-    ("raft_small", FlowNetKind::RaftSmall),
-];
+const NAMES: &[(&str, FlowNetKind)] =
+    &[("nano_raft", FlowNetKind::NanoRaft), ("nano_raft_d4", FlowNetKind::NanoRaftD4), ("raft_small", FlowNetKind::RaftSmall)];
 
 impl FlowNetKind {
     /// The sizes behind the name.
@@ -100,10 +97,7 @@ impl FlowNetConfig {
 
     /// The nano size, flow at 1/4 of the image size: the better one for images of 64 rows.
     pub fn nano_raft_d4() -> Self {
-        Self {
-            last_stride: 1,
-            ..Self::nano_raft()
-        }
+        Self { last_stride: 1, ..Self::nano_raft() }
     }
 
     /// The small reference network.

@@ -23,13 +23,7 @@ impl Encoder {
         let strides = [1, 2, config.last_stride];
         for (level, (width, stride)) in config.stages.into_iter().zip(strides).enumerate() {
             let root = format!("{path}.layer{}", level + 1);
-            blocks.push(Bottleneck::new(
-                &format!("{root}.0"),
-                inputs,
-                width,
-                stride,
-                norm,
-            ));
+            blocks.push(Bottleneck::new(&format!("{root}.0"), inputs, width, stride, norm));
             blocks.push(Bottleneck::new(&format!("{root}.1"), width, width, 1, norm));
             inputs = width;
         }
@@ -49,11 +43,7 @@ impl Encoder {
     }
 
     /// Images in [-1, 1], (N, 3, H, W) -> (N, outputs, H / factor, W / factor).
-    pub(super) fn forward<'t, T: Scalar>(
-        &self,
-        binder: &Binder<'t, T>,
-        images: Var<'t, T>,
-    ) -> Var<'t, T> {
+    pub(super) fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, images: Var<'t, T>) -> Var<'t, T> {
         let x = self.conv1.forward(binder, images);
         let mut x = self.norm.forward(x).relu();
         for block in &self.blocks {

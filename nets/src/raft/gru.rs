@@ -42,12 +42,7 @@ impl Gru {
     pub(super) fn new(path: &str, hidden: usize, context: usize, motion: usize) -> Self {
         let inputs = hidden + context + motion;
         let gate = |name| ConvLayer::new(format!("{path}.{name}"), inputs, hidden, 3);
-        Self {
-            gates: [gate("convz"), gate("convr"), gate("convq")],
-            hidden,
-            context,
-            motion,
-        }
+        Self { gates: [gate("convz"), gate("convr"), gate("convq")], hidden, context, motion }
     }
 
     pub(super) fn declare(&self, blueprint: &mut Blueprint) {
@@ -56,11 +51,7 @@ impl Gru {
 
     /// Cuts the weights and does the part that no iteration changes.
     /// `context` is (N, context, h, w).
-    pub(super) fn prepare<'t, T: Scalar>(
-        &self,
-        binder: &Binder<'t, T>,
-        context: Var<'t, T>,
-    ) -> GruState<'t, T> {
+    pub(super) fn prepare<'t, T: Scalar>(&self, binder: &Binder<'t, T>, context: Var<'t, T>) -> GruState<'t, T> {
         let weights = self.gates.each_ref();
         let weights = weights.map(|gate| binder.param(&gate.weight_path()));
         let biases = self.gates.each_ref();
@@ -91,9 +82,7 @@ impl<'t, T: Scalar> GruState<'t, T> {
         let gates = hidden.conv2d(self.from_hidden, None, self.options);
         let gates = input.slice(1, 0, 2 * n).add(gates).sigmoid();
         let (update, reset) = (gates.slice(1, 0, n), gates.slice(1, n, n));
-        let candidate = reset
-            .mul(hidden)
-            .conv2d(self.from_reset, None, self.options);
+        let candidate = reset.mul(hidden).conv2d(self.from_reset, None, self.options);
         let candidate = input.slice(1, 2 * n, n).add(candidate).tanh();
         hidden.add(update.mul(candidate.sub(hidden)))
     }
@@ -105,12 +94,7 @@ mod tests {
     use dimode_autodiff::{Shape, Tape, Tensor};
 
     /// The definition at the top of the file, gate by gate.
-    fn literal<'t>(
-        gru: &Gru,
-        binder: &Binder<'t, f64>,
-        hidden: Var<'t, f64>,
-        x: Var<'t, f64>,
-    ) -> Var<'t, f64> {
+    fn literal<'t>(gru: &Gru, binder: &Binder<'t, f64>, hidden: Var<'t, f64>, x: Var<'t, f64>) -> Var<'t, f64> {
         let hx = Var::concat(&[hidden, x], 1);
         let z = gru.gates[0].forward(binder, hx).sigmoid();
         let r = gru.gates[1].forward(binder, hx).sigmoid();

@@ -16,9 +16,7 @@ pub(super) struct MotionEncoder {
 
 impl MotionEncoder {
     pub(super) fn new(path: &str, config: &FlowNetConfig) -> Self {
-        let conv = |name: &str, inputs, outputs, kernel| {
-            ConvLayer::new(format!("{path}.{name}"), inputs, outputs, kernel)
-        };
+        let conv = |name: &str, inputs, outputs, kernel| ConvLayer::new(format!("{path}.{name}"), inputs, outputs, kernel);
         let [wide, narrow] = config.flow;
         Self {
             correlation: conv("convc1", config.lookup_channels(), config.correlation, 1),
@@ -34,12 +32,7 @@ impl MotionEncoder {
     }
 
     /// Look-up (N, L, h, w) and flow (N, 2, h, w) -> (N, motion + 2, h, w), the flow itself last.
-    pub(super) fn forward<'t, T: Scalar>(
-        &self,
-        binder: &Binder<'t, T>,
-        lookup: Var<'t, T>,
-        flow: Var<'t, T>,
-    ) -> Var<'t, T> {
+    pub(super) fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, lookup: Var<'t, T>, flow: Var<'t, T>) -> Var<'t, T> {
         let correlation = self.correlation.forward(binder, lookup).relu();
         let mut branch = flow;
         for conv in &self.flow {

@@ -87,10 +87,7 @@ impl FlowNet {
         second: Var<'t, T>,
         iterations: usize,
     ) -> Vec<Var<'t, T>> {
-        let options = FlowOptions {
-            iterations: Some(iterations),
-            ..FlowOptions::default()
-        };
+        let options = FlowOptions { iterations: Some(iterations), ..FlowOptions::default() };
         self.trace(binder, first, second, &options).flows
     }
 
@@ -110,11 +107,7 @@ impl FlowNet {
         let tape = Tape::new();
         let binder = Binder::frozen(&tape, params);
         let (first, second) = (tape.constant(first.clone()), tape.constant(second.clone()));
-        let options = FlowOptions {
-            iterations,
-            last_only: true,
-            ..FlowOptions::default()
-        };
+        let options = FlowOptions { iterations, last_only: true, ..FlowOptions::default() };
         self.trace(&binder, first, second, &options).flows[0].value()
     }
 
@@ -133,10 +126,7 @@ impl FlowNet {
     ) -> FlowTrace<'t, T> {
         let iterations = options.iterations.unwrap_or(self.config.iterations);
         self.check(first.shape(), second.shape(), iterations);
-        let (first, second) = (
-            normalise(first, options.range),
-            normalise(second, options.range),
-        );
+        let (first, second) = (normalise(first, options.range), normalise(second, options.range));
         let batch = first.shape().n();
         let features = Var::concat(&[first, second], 0);
         let features = self.features.forward(binder, features);
@@ -161,28 +151,16 @@ impl FlowNet {
                 flows.push(self.upsample(flow));
             }
         }
-        FlowTrace {
-            flows,
-            deltas,
-            features,
-            context,
-            first_lookup,
-            hidden,
-        }
+        FlowTrace { flows, deltas, features, context, first_lookup, hidden }
     }
 
     #[track_caller]
     fn check(&self, first: Shape, second: Shape, iterations: usize) {
         let factor = self.config.factor();
         let coarsest = factor << (self.config.levels - 1);
-        assert_eq!(
-            first, second,
-            "flow network: the two images differ in shape"
-        );
+        assert_eq!(first, second, "flow network: the two images differ in shape");
         assert!(
-            [first.h(), first.w()]
-                .iter()
-                .all(|&s| s.is_multiple_of(factor) && s >= coarsest),
+            [first.h(), first.w()].iter().all(|&s| s.is_multiple_of(factor) && s >= coarsest),
             "flow network: height and width of {first:?} must be multiples of {factor}, \
              at least {coarsest}"
         );
@@ -228,7 +206,5 @@ fn normalise<T: Scalar>(images: Var<'_, T>, range: ImageRange) -> Var<'_, T> {
 /// Column in channel 0, row in channel 1, for a map of the given batch and size.
 fn pixel_grid<T: Scalar>(map: Shape) -> Tensor<T> {
     let shape = Shape::new(map.n(), 2, map.h(), map.w());
-    Tensor::from_fn(shape, |_, c, row, column| {
-        T::from_usize(if c == 0 { column } else { row })
-    })
+    Tensor::from_fn(shape, |_, c, row, column| T::from_usize(if c == 0 { column } else { row }))
 }

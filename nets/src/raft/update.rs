@@ -18,9 +18,7 @@ pub(super) struct UpdateBlock {
 
 impl UpdateBlock {
     pub(super) fn new(path: &str, config: &FlowNetConfig) -> Self {
-        let head = |n: usize, inputs, outputs| {
-            ConvLayer::new(format!("{path}.flow_head.conv{n}"), inputs, outputs, 3)
-        };
+        let head = |n: usize, inputs, outputs| ConvLayer::new(format!("{path}.flow_head.conv{n}"), inputs, outputs, 3);
         let motion = config.motion + 2;
         let gru = format!("{path}.gru");
         Self {
@@ -37,11 +35,7 @@ impl UpdateBlock {
     }
 
     /// The part that no iteration changes.
-    pub(super) fn prepare<'t, T: Scalar>(
-        &self,
-        binder: &Binder<'t, T>,
-        context: Var<'t, T>,
-    ) -> GruState<'t, T> {
+    pub(super) fn prepare<'t, T: Scalar>(&self, binder: &Binder<'t, T>, context: Var<'t, T>) -> GruState<'t, T> {
         self.gru.prepare(binder, context)
     }
 

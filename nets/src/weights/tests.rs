@@ -14,9 +14,7 @@ fn blueprint() -> Blueprint {
 
 fn values<T: Scalar>(set: &ParamSet<T>) -> Vec<(String, Vec<usize>, Vec<f64>)> {
     let values = |e: &crate::Entry<T>| e.tensor().data().iter().map(|v| v.to_f64()).collect();
-    set.iter()
-        .map(|(path, e)| (path, e.dims().to_vec(), values(e)))
-        .collect()
+    set.iter().map(|(path, e)| (path, e.dims().to_vec(), values(e))).collect()
 }
 
 fn scratch(name: &str) -> PathBuf {
@@ -33,10 +31,7 @@ fn round_trip<T: Scalar>(name: &str) {
     save_directory(&directory, &saved).unwrap();
     load_directory(&directory, &mut loaded).unwrap();
     assert_eq!(values(&saved), values(&loaded));
-    let names: Vec<String> = fs::read_dir(&directory)
-        .unwrap()
-        .map(|e| e.unwrap().file_name().into_string().unwrap())
-        .collect();
+    let names: Vec<String> = fs::read_dir(&directory).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     assert_eq!(names.len(), 2, "no temporary file stays: {names:?}");
     fs::remove_dir_all(&directory).unwrap();
 }
@@ -56,20 +51,10 @@ fn all_differences_are_listed_and_nothing_changes() {
         dims: dims.to_vec(),
         values: vec![0.0; dims.iter().product()],
     };
-    let given = vec![
-        stored("conv.weight", &[4, 3, 3, 3]),
-        stored("fc.weight", &[4, 5]),
-        stored("surplus", &[1]),
-    ];
+    let given = vec![stored("conv.weight", &[4, 3, 3, 3]), stored("fc.weight", &[4, 5]), stored("surplus", &[1])];
     let error = assign(&mut params, given, "test.safetensors").unwrap_err();
     let text = error.to_string();
-    let WeightError::Mismatch {
-        missing,
-        extra,
-        misshapen,
-        ..
-    } = error
-    else {
+    let WeightError::Mismatch { missing, extra, misshapen, .. } = error else {
         panic!("wrong kind: {text}");
     };
     assert_eq!(missing, ["bn.running_mean"]);
@@ -87,14 +72,8 @@ fn wrapper_prefix_and_counters_are_accepted() {
     let one = 1i64.to_le_bytes();
     let value = 2.5f32.to_le_bytes();
     let views = vec![
-        (
-            "module.scale",
-            TensorView::new(Dtype::F32, vec![1], &value).unwrap(),
-        ),
-        (
-            "module.bn.num_batches_tracked",
-            TensorView::new(Dtype::I64, vec![], &one).unwrap(),
-        ),
+        ("module.scale", TensorView::new(Dtype::F32, vec![1], &value).unwrap()),
+        ("module.bn.num_batches_tracked", TensorView::new(Dtype::I64, vec![], &one).unwrap()),
     ];
     let bytes = safetensors::serialize(views, None).unwrap();
     let mut params = Params::<f64>::new();

@@ -57,14 +57,10 @@ impl<T: Scalar> Comparison<'_, T> {
         self.seen.insert(plain.clone());
         let distance = relative_l2(values, &stored.values);
         let exact = limit == EXACT || !self.double;
-        let shown = self
-            .worst
-            .entry(if exact { group } else { "f32 only" })
-            .or_default();
+        let shown = self.worst.entry(if exact { group } else { "f32 only" }).or_default();
         *shown = shown.max(distance);
         if distance.is_nan() || distance > limit {
-            self.failures
-                .push(format!("{plain}: {distance:.2e} above {limit:.0e}"));
+            self.failures.push(format!("{plain}: {distance:.2e} above {limit:.0e}"));
         }
     }
 
@@ -80,43 +76,23 @@ impl<T: Scalar> Comparison<'_, T> {
     /// The loss is a sum with cancellations: the limit is absolute, in units of the summed magnitudes.
     fn check_loss(&mut self, value: f64, magnitude: f64) {
         let plain = format!("{}.loss", self.prefix);
-        let (name, share) = if self.double {
-            (format!("f64.{plain}"), EXACT)
-        } else {
-            (plain.clone(), 1e-5)
-        };
+        let (name, share) = if self.double { (format!("f64.{plain}"), EXACT) } else { (plain.clone(), 1e-5) };
         let stored = self.golden.get(&name).expect("loss").values[0];
         self.seen.insert(plain);
         if (value - stored).abs() > share * magnitude {
-            self.failures
-                .push(format!("{name}: {value} against {stored}"));
+            self.failures.push(format!("{name}: {value} against {stored}"));
         }
     }
 
     /// Fails with all differences, and when something recorded was not compared.
     fn finish(self, case: &Case) {
-        let group: Vec<String> = self
-            .worst
-            .iter()
-            .map(|(g, d)| format!("{g} {d:.1e}"))
-            .collect();
-        println!(
-            "{} {} {}: {}",
-            case.name,
-            self.prefix,
-            T::NAME,
-            group.join(", ")
-        );
+        let group: Vec<String> = self.worst.iter().map(|(g, d)| format!("{g} {d:.1e}")).collect();
+        println!("{} {} {}: {}", case.name, self.prefix, T::NAME, group.join(", "));
         let wanted = |name: &&str| name.starts_with(self.prefix) && !name.contains(".in.");
         let missed: Vec<&str> = self.golden.names().filter(wanted).collect();
         let missed: Vec<&&str> = missed.iter().filter(|n| !self.seen.contains(**n)).collect();
         assert!(missed.is_empty(), "{}: not compared: {missed:?}", case.name);
-        assert!(
-            self.failures.is_empty(),
-            "{}: {:#?}",
-            case.name,
-            self.failures
-        );
+        assert!(self.failures.is_empty(), "{}: {:#?}", case.name, self.failures);
     }
 }
 
@@ -127,11 +103,7 @@ fn relative_l2<T: Scalar>(values: &Tensor<T>, expected: &[f64]) -> f64 {
         difference += (a.to_f64() - b).powi(2);
         norm += b * b;
     }
-    if norm == 0.0 {
-        difference.sqrt()
-    } else {
-        (difference / norm).sqrt()
-    }
+    if norm == 0.0 { difference.sqrt() } else { (difference / norm).sqrt() }
 }
 
 /// Fills the parameters, runs `forward`, and compares outputs, activations, loss, gradients and statistics.
@@ -142,9 +114,7 @@ where
     F: for<'t> Fn(&mut Binder<'t, T>, &[Var<'t, T>]) -> Run<'t, T>,
 {
     let (golden, manifest) = (Golden::read(case.name), manifest(case.name));
-    let mut params = network
-        .blueprint()
-        .filled::<T>(|file| gain(&manifest, file));
+    let mut params = network.blueprint().filled::<T>(|file| gain(&manifest, file));
     let prefix = match case.mode {
         Mode::Eval => "eval",
         Mode::Train => "train",
@@ -173,12 +143,7 @@ where
         comparison.check("out", name, &var.value());
         let weights = loss_weights::<T>(name, var.shape());
         let products = var.mul(tape.constant(weights));
-        magnitude += products
-            .value()
-            .data()
-            .iter()
-            .map(|p| p.to_f64().abs())
-            .sum::<f64>();
+        magnitude += products.value().data().iter().map(|p| p.to_f64().abs()).sum::<f64>();
         loss = loss.add(products.sum());
     }
     comparison.check_loss(loss.value().item().to_f64(), magnitude);

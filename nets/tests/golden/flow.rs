@@ -6,16 +6,8 @@ use dimode_nets::{Binder, FlowNet, FlowNetKind, FlowOptions, ImageRange, Mode};
 use crate::compare::{Case, Limits, Run, compare};
 use crate::store::available;
 
-fn run<'t, T: Scalar>(
-    net: &FlowNet,
-    binder: &mut Binder<'t, T>,
-    inputs: &[Var<'t, T>],
-) -> Run<'t, T> {
-    let options = FlowOptions {
-        iterations: Some(4),
-        range: ImageRange::Byte,
-        last_only: false,
-    };
+fn run<'t, T: Scalar>(net: &FlowNet, binder: &mut Binder<'t, T>, inputs: &[Var<'t, T>]) -> Run<'t, T> {
+    let options = FlowOptions { iterations: Some(4), range: ImageRange::Byte, last_only: false };
     let trace = net.trace(binder, inputs[0], inputs[1], &options);
     let name = |kind: &'static str| move |(i, &var): (usize, _)| (format!("{kind}{i}"), var);
     let mut mids: Vec<_> = trace.deltas.iter().enumerate().map(name("delta")).collect();
@@ -24,10 +16,7 @@ fn run<'t, T: Scalar>(
     mids.push(("cnet".to_owned(), trace.context));
     mids.push(("corr0".to_owned(), trace.first_lookup.unwrap()));
     mids.push(("net3".to_owned(), trace.hidden));
-    Run {
-        outputs: trace.flows.iter().enumerate().map(name("flow")).collect(),
-        mids,
-    }
+    Run { outputs: trace.flows.iter().enumerate().map(name("flow")).collect(), mids }
 }
 
 fn check(kind: FlowNetKind, limit: f64) {
@@ -35,12 +24,7 @@ fn check(kind: FlowNetKind, limit: f64) {
         name: &kind.to_string(),
         mode: Mode::Eval,
         inputs: &["image1", "image2"],
-        limits: Limits {
-            out: limit,
-            mid: 4e-5,
-            grad: 1e-3,
-            stat: 0.0,
-        },
+        limits: Limits { out: limit, mid: 4e-5, grad: 1e-3, stat: 0.0 },
     };
     let net = FlowNet::new(kind.config());
     compare::<f64, _, _>(&case, &net, |binder, inputs| run(&net, binder, inputs));

@@ -16,9 +16,7 @@ pub fn find(file: &str) -> Option<PathBuf> {
     let named = env::var_os("DIMODE_GOLDEN").map(PathBuf::from);
     let folders = [Some(IN_TREE.into()), named, Some(BESIDE.into())];
     let candidates = folders.into_iter().flatten();
-    candidates
-        .flat_map(|folder| [folder.join(file), folder.join("networks").join(file)])
-        .find(|path| path.is_file())
+    candidates.flat_map(|folder| [folder.join(file), folder.join("networks").join(file)]).find(|path| path.is_file())
 }
 
 /// True when the golden set is there; says so on standard error when it is not.
@@ -41,9 +39,7 @@ impl Golden {
         let path = find(&format!("{name}.safetensors")).expect("golden file");
         let tensors = weights::read(&path).expect("readable golden file");
         let named = |t: StoredTensor| (t.name.clone(), t);
-        Self {
-            tensors: tensors.into_iter().map(named).collect(),
-        }
+        Self { tensors: tensors.into_iter().map(named).collect() }
     }
 
     pub fn get(&self, name: &str) -> Option<&StoredTensor> {

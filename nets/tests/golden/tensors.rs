@@ -2,9 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use dimode_nets::{
-    DepthNet, DepthNetKind, FlowNet, FlowNetKind, Kind, Network, PoseNet, PoseNetKind, fill,
-};
+use dimode_nets::{DepthNet, DepthNetKind, FlowNet, FlowNetKind, Kind, Network, PoseNet, PoseNetKind, fill};
 
 use crate::store::{Golden, available, gain, manifest};
 
@@ -15,9 +13,7 @@ fn fill_rule_matches_the_probe() {
     for name in golden.names() {
         let stored = golden.get(name).unwrap();
         let values: Vec<f64> = match name.split_once('|').unwrap() {
-            ("uniform", key) => (0..stored.values.len())
-                .map(|i| fill::unit(key, i))
-                .collect(),
+            ("uniform", key) => (0..stored.values.len()).map(|i| fill::unit(key, i)).collect(),
             (key, gain) => {
                 let gain = gain.strip_prefix("gain=").unwrap().parse().unwrap();
                 fill::values(key, &stored.dims, gain)
@@ -35,9 +31,7 @@ fn fill_rule_matches_the_probe() {
 /// Every tensor of the manifest exists with its dimensions, kind and sums, and no other does.
 fn check_manifest(name: &str, network: &impl Network) {
     let manifest = manifest(name);
-    let set = network
-        .blueprint()
-        .filled::<f64>(|file| gain(&manifest, file));
+    let set = network.blueprint().filled::<f64>(|file| gain(&manifest, file));
     let mut expected = BTreeMap::new();
     for (file, content) in manifest.as_object().unwrap() {
         for tensor in content["tensors"].as_array().unwrap() {
@@ -62,10 +56,7 @@ fn check_manifest(name: &str, network: &impl Network) {
         let magnitude = tensor["abs_sum"].as_f64().unwrap();
         let near = |a: f64, b: f64| (a - b).abs() <= 1e-10 * magnitude;
         let sum: f64 = values.iter().sum();
-        assert!(
-            near(sum, tensor["sum"].as_f64().unwrap()),
-            "{path}: sum {sum}"
-        );
+        assert!(near(sum, tensor["sum"].as_f64().unwrap()), "{path}: sum {sum}");
         let sum: f64 = values.iter().map(|v| v.abs()).sum();
         assert!(near(sum, magnitude), "{path}: sum of magnitudes {sum}");
     }
@@ -75,15 +66,9 @@ fn check_manifest(name: &str, network: &impl Network) {
 
 #[test]
 fn depth_networks_have_the_tensors_of_the_reference() {
-    check_manifest(
-        "nano_resnet_depth",
-        &DepthNet::new(DepthNetKind::NanoResnet.config()),
-    );
+    check_manifest("nano_resnet_depth", &DepthNet::new(DepthNetKind::NanoResnet.config()));
     if available("resnet18_depth") {
-        check_manifest(
-            "resnet18_depth",
-            &DepthNet::new(DepthNetKind::Resnet18.config()),
-        );
+        check_manifest("resnet18_depth", &DepthNet::new(DepthNetKind::Resnet18.config()));
     }
 }
 
@@ -91,20 +76,14 @@ fn depth_networks_have_the_tensors_of_the_reference() {
 fn pose_networks_have_the_tensors_of_the_reference() {
     check_manifest("nano_pose", &PoseNet::new(PoseNetKind::Nano.config()));
     if available("resnet18_pose") {
-        check_manifest(
-            "resnet18_pose",
-            &PoseNet::new(PoseNetKind::Resnet18.config()),
-        );
+        check_manifest("resnet18_pose", &PoseNet::new(PoseNetKind::Resnet18.config()));
     }
 }
 
 #[test]
 fn flow_networks_have_the_tensors_of_the_reference() {
     check_manifest("nano_raft", &FlowNet::new(FlowNetKind::NanoRaft.config()));
-    check_manifest(
-        "nano_raft_d4",
-        &FlowNet::new(FlowNetKind::NanoRaftD4.config()),
-    );
+    check_manifest("nano_raft_d4", &FlowNet::new(FlowNetKind::NanoRaftD4.config()));
     if available("raft_small") {
         check_manifest("raft_small", &FlowNet::new(FlowNetKind::RaftSmall.config()));
     }

@@ -10,6 +10,7 @@ use crate::config::ConfigError;
 use crate::data::DataError;
 use crate::eval::EvalError;
 use crate::run::RunError;
+use crate::trainer::NonFinite;
 
 /// How the process ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -105,6 +106,7 @@ fn has_advice(cause: &(dyn std::error::Error + 'static)) -> bool {
         || cause.is::<RunError>()
         || cause.is::<UsageError>()
         || cause.is::<EvalError>()
+        || cause.is::<NonFinite>()
 }
 
 fn one_line(text: &str) -> String {

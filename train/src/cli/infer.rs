@@ -51,7 +51,13 @@ impl InferArgs {
             output::json(&summaries)?;
         } else {
             let line = |s: &SequenceSummary| {
-                format!("{}: {} frames, path of {:.2} units in {}\n", s.name, s.frames, s.path_length, request.out.join(&s.name).display())
+                format!(
+                    "{}: {} frames, path of {:.2} units in {}\n",
+                    s.name,
+                    s.frames,
+                    s.path_length,
+                    request.out.join(&s.name).display()
+                )
             };
             output::text(&summaries.iter().map(line).collect::<String>())?;
         }

@@ -112,7 +112,7 @@ impl PretrainFlowArgs {
             warmup: base.warmup.min(steps / 2),
             seed: self.seed.unwrap_or(base.seed),
         };
-        let whole = |value: usize| value >= 32 && value.is_multiple_of(16);
+        let whole = |value: usize| value >= 64 && value.is_multiple_of(32);
         let refuse = |ok: bool, what: String, advice: &str| if ok { Ok(()) } else { Err(UsageError::new(what, advice)) };
         refuse(config.steps > 0, "--steps 0".to_owned(), "use 1 or more")?;
         refuse(config.batch > 0, "--batch 0".to_owned(), "use 1 or more")?;
@@ -120,14 +120,17 @@ impl PretrainFlowArgs {
         let rate = config.learning_rate;
         refuse(rate.is_finite() && rate > 0.0, format!("--learning-rate {rate}"), "use a finite number above 0")?;
         let size = format!("--size {}x{}", config.width, config.height);
-        refuse(whole(config.width) && whole(config.height), size, "use multiples of 16, at least 32x32")?;
+        refuse(whole(config.width) && whole(config.height), size, "use multiples of 32, at least 64x64")?;
         Ok(config)
     }
 }
 
 fn lines(errors: &[EndPointError]) -> String {
     let line = |e: &EndPointError| {
-        format!("{:10} end-point error {:.3} px (zero flow {:.3} px) over {} held-out pairs\n", e.preset, e.network, e.zero, e.pairs)
+        format!(
+            "{:10} end-point error {:.3} px (zero flow {:.3} px) over {} held-out pairs\n",
+            e.preset, e.network, e.zero, e.pairs
+        )
     };
     errors.iter().map(line).collect()
 }

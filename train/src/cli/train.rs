@@ -8,7 +8,7 @@ use super::failure::{Exit, UsageError};
 use super::options::{Size, Stages, preset};
 use super::{interrupt, output};
 use crate::config::{Config, FlowWeights, GeometricConfig, Preset};
-use crate::progress::Bar;
+use crate::progress::{Bar, Progress};
 use crate::run::{self, RunFolder, TrainOutcome, TrainRequest};
 
 const LONG_ABOUT: &str = "\
@@ -78,7 +78,7 @@ pub struct TrainArgs {
     /// Full learning rate
     #[arg(long, value_name = "RATE")]
     learning_rate: Option<f64>,
-    /// Size of the frames the networks see, multiples of 16
+    /// Size of the frames the networks see, multiples of 32
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// Stages to train: 1, 1,2 or 1,2,3; the steps of the others go to the last one named
@@ -129,8 +129,10 @@ impl TrainArgs {
         };
         let request = TrainRequest { config, out, resume, command: typed.to_owned() };
         let stop = interrupt::stop_flag("finishing this step, then saving")?;
-        let outcome = run::train::train(&request, &Bar::new(), &stop)?;
-        report(&request, &outcome, self.json)
+        let bar = Bar::new();
+        let outcome = run::train::train(&request, &bar, &stop);
+        bar.finish();
+        report(&request, &outcome?, self.json)
     }
 
     /// Settings of the run to go on with, or defaults, file and flags.
@@ -297,10 +299,10 @@ mod tests {
 
     #[test]
     fn stages_and_forms_are_taken() {
-        let config = settings(&["--stages", "1", "--loss", "literal", "--size", "96x48"]).unwrap();
+        let config = settings(&["--stages", "1", "--loss", "literal", "--size", "96x64"]).unwrap();
         assert_eq!(config.train.only_stages, Some(vec![1]));
         assert_eq!(config.loss.geometric, GeometricConfig::literal());
-        assert_eq!((config.data.width, config.data.height), (96, 48));
+        assert_eq!((config.data.width, config.data.height), (96, 64));
         assert_eq!(default_out(&config), PathBuf::from("runs/train-street-s1-stages1-literal"));
         assert!(settings(&["--stages", "4"]).unwrap_err().to_string().contains("train.only_stages"));
     }

@@ -61,7 +61,12 @@ impl DataConfig {
         side("data.width", self.width)?;
         side("data.height", self.height)?;
         require((1..=1 << 24).contains(&self.worlds), "data.worlds", self.worlds, "must be 1 to 16777216")?;
-        require((3..=10_000).contains(&self.frames), "data.frames", self.frames, "must be 3 to 10000: a snippet is three frames")?;
+        require(
+            (3..=10_000).contains(&self.frames),
+            "data.frames",
+            self.frames,
+            "must be 3 to 10000: a snippet is three frames",
+        )?;
         require((0.0..=0.5).contains(&self.noise), "data.noise", self.noise, "must be between 0 and 0.5")?;
         require((0.0..=1.0).contains(&self.exposure), "data.exposure", self.exposure, "must be between 0 and 1")
     }
@@ -69,6 +74,6 @@ impl DataConfig {
 
 /// The networks halve the picture five times.
 fn side(key: &'static str, value: usize) -> Result<(), ConfigError> {
-    let ok = (32..=4096).contains(&value) && value % 16 == 0;
-    require(ok, key, value, "must be a multiple of 16 between 32 and 4096")
+    let ok = (64..=4096).contains(&value) && value.is_multiple_of(32);
+    require(ok, key, value, "must be a multiple of 32 between 64 and 4096")
 }

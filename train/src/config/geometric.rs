@@ -57,9 +57,9 @@ pub enum AxialForm {
 #[serde(rename_all = "kebab-case")]
 pub enum TangentialForm {
     /// Recovered translation `z / rho` against the predicted one.
-    #[default]
     InverseRatio,
     /// Predicted against observed planar flow, in pixels.
+    #[default]
     FlowPixels,
     /// The printed ratios with gates against tiny flow.
     Robust,
@@ -72,9 +72,9 @@ pub enum TangentialForm {
 #[serde(rename_all = "kebab-case")]
 pub enum RadialForm {
     /// Recovered translation `z / rho` against the predicted one.
-    #[default]
     InverseRatio,
     /// Predicted against observed axial flow, in pixels.
+    #[default]
     FlowPixels,
     /// The printed ratio with gates against tiny flow.
     Robust,
@@ -174,8 +174,8 @@ impl Default for GeometricConfig {
             convention: Convention::Consistent,
             planar: PlanarForm::PerpendicularPixels,
             axial: AxialForm::PerpendicularPixels,
-            tangential: TangentialForm::InverseRatio,
-            radial: RadialForm::InverseRatio,
+            tangential: TangentialForm::FlowPixels,
+            radial: RadialForm::FlowPixels,
             tau_flow: 0.1,
             tau_ratio: 0.1,
             q_min: 1.0,

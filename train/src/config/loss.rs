@@ -35,7 +35,7 @@ pub struct LocalStructure {
 
 impl Default for LocalStructure {
     fn default() -> Self {
-        Self { terms: vec![LocalTerm::NormalMatching], pseudo_depth: PseudoDepth::SelfGuided }
+        Self { terms: vec![LocalTerm::NormalMatching], pseudo_depth: PseudoDepth::None }
     }
 }
 

@@ -69,7 +69,7 @@ impl Config {
     /// Changes the sizes to those of [`Config::quick`] and leaves every choice of form and data as it is.
     pub fn apply_quick(&mut self) {
         self.data.width = 96;
-        self.data.height = 48;
+        self.data.height = 64;
         self.data.worlds = 256;
         self.train.steps = 300;
         self.train.batch = 4;
@@ -98,8 +98,7 @@ impl Config {
     ///
     /// **Errors** [`ConfigError::Read`] when the file cannot be read, else as [`Config::from_toml`].
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         Self::from_toml(&text, path)
     }
 

@@ -87,6 +87,10 @@ impl NetsConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         let iterations = self.flow_iterations;
         require((1..=64).contains(&iterations), "nets.flow_iterations", iterations, "must be 1 to 64")?;
+        let embedded = self.flow_weights == FlowWeights::Embedded && self.flow != FlowNetKind::NanoRaftD4;
+        let advice =
+            "only those of nano_raft_d4 are part of the program; use \"random\", or a file that 'dimode pretrain flow' wrote";
+        require(!embedded, "nets.flow_weights", &self.flow_weights, advice)?;
         positive("nets.min_depth", self.min_depth)?;
         positive("nets.max_depth", self.max_depth)?;
         require(self.max_depth > self.min_depth, "nets.max_depth", self.max_depth, "must be above nets.min_depth")

@@ -31,10 +31,7 @@ fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
 fn temporary_beside(path: &Path) -> PathBuf {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     let number = COUNTER.fetch_add(1, Ordering::Relaxed);
-    let name = path
-        .file_name()
-        .map(|name| name.to_string_lossy().into_owned())
-        .unwrap_or_default();
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     path.with_file_name(format!(".{name}.{}-{number}.tmp", std::process::id()))
 }
 
@@ -77,11 +74,7 @@ mod tests {
             eprintln!("skipped: no /dev/full here");
             return;
         }
-        let error = File::options()
-            .write(true)
-            .open(full)
-            .and_then(|mut file| file.write_all(b"x"))
-            .unwrap_err();
+        let error = File::options().write(true).open(full).and_then(|mut file| file.write_all(b"x")).unwrap_err();
         let message = DataError::write(full, error).to_string();
         assert!(message.contains("free some space"), "{message}");
     }

@@ -29,25 +29,17 @@ impl Augmentation {
         let flip = rng.random::<f64>() < 0.5;
         let jittered = rng.random::<f64>() < 0.5;
         let jitter = Jitter::draw(rng);
-        Self {
-            flip,
-            jitter: jittered.then_some(jitter),
-        }
+        Self { flip, jitter: jittered.then_some(jitter) }
     }
 
     /// The snippet that the loss sees: mirrored or as it is, never jittered.
     pub fn geometry(&self, snippet: &Snippet) -> Snippet {
-        if self.flip {
-            flip_snippet(snippet)
-        } else {
-            snippet.clone()
-        }
+        if self.flip { flip_snippet(snippet) } else { snippet.clone() }
     }
 
     /// The image that the networks see, made from a frame of [`Augmentation::geometry`].
     pub fn colours(&self, image: &Image) -> Image {
-        self.jitter
-            .map_or_else(|| image.clone(), |jitter| jitter.apply(image))
+        self.jitter.map_or_else(|| image.clone(), |jitter| jitter.apply(image))
     }
 }
 
@@ -64,21 +56,13 @@ pub fn flip_snippet(snippet: &Snippet) -> Snippet {
 /// The mirror image of a frame. A pose becomes M T M with M = diag(-1, 1, 1): the world is mirrored with the camera, so
 /// (tx, ty, tz) becomes (-tx, ty, tz) and the rotation vector (rx, ry, rz) becomes (rx, -ry, -rz).
 pub fn flip_frame(frame: &Frame) -> Frame {
-    let view =
-        View::new(frame.image.clone(), frame.intrinsics, frame.depth.clone()).flip_horizontal();
+    let view = View::new(frame.image.clone(), frame.intrinsics, frame.depth.clone()).flip_horizontal();
     let mirror = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, 1.0));
-    let world_from_camera = frame.world_from_camera.map(|pose| Se3 {
-        rotation: mirror * pose.rotation * mirror,
-        translation: mirror * pose.translation,
-    });
+    let world_from_camera = frame
+        .world_from_camera
+        .map(|pose| Se3 { rotation: mirror * pose.rotation * mirror, translation: mirror * pose.translation });
     let name = frame.name.clone();
-    Frame {
-        image: view.image,
-        intrinsics: view.intrinsics,
-        depth: view.depth,
-        world_from_camera,
-        name,
-    }
+    Frame { image: view.image, intrinsics: view.intrinsics, depth: view.depth, world_from_camera, name }
 }
 
 /// One of the four colour changes.
@@ -104,26 +88,14 @@ impl Jitter {
     /// Brightness, contrast and saturation factors from U(0.8, 1.2), hue shift from U(-0.1, 0.1) turns, in random order.
     pub fn draw(rng: &mut ChaCha8Rng) -> Self {
         let mut uniform = |lo: f64, hi: f64| (lo + (hi - lo) * rng.random::<f64>()) as f32;
-        let (brightness, contrast, saturation) =
-            (uniform(0.8, 1.2), uniform(0.8, 1.2), uniform(0.8, 1.2));
+        let (brightness, contrast, saturation) = (uniform(0.8, 1.2), uniform(0.8, 1.2), uniform(0.8, 1.2));
         let hue = uniform(-0.1, 0.1);
-        let mut order = [
-            Change::Brightness,
-            Change::Contrast,
-            Change::Saturation,
-            Change::Hue,
-        ];
+        let mut order = [Change::Brightness, Change::Contrast, Change::Saturation, Change::Hue];
         for last in (1..order.len()).rev() {
             // From a fraction, so that every exchange uses one random number on any platform.
             order.swap(last, (rng.random::<f64>() * (last + 1) as f64) as usize);
         }
-        Self {
-            brightness,
-            contrast,
-            saturation,
-            hue,
-            order,
-        }
+        Self { brightness, contrast, saturation, hue, order }
     }
 
     /// The image with changed colours, every value clamped to [0, 1] after each step. Brightness scales; contrast scales the
@@ -133,11 +105,7 @@ impl Jitter {
     /// **Panics** unless the image has three channels.
     #[track_caller]
     pub fn apply(&self, image: &Image) -> Image {
-        assert_eq!(
-            image.channels, 3,
-            "Jitter::apply: channels of a {}x{} image",
-            image.height, image.width
-        );
+        assert_eq!(image.channels, 3, "Jitter::apply: channels of a {}x{} image", image.height, image.width);
         let mut out = image.clone();
         let plane = out.plane_len();
         let (red, rest) = out.data.split_at_mut(plane);
@@ -157,20 +125,15 @@ impl Jitter {
 
 fn scale(planes: [&mut [f32]; 3], factor: f32) {
     for plane in planes {
-        plane
-            .iter_mut()
-            .for_each(|x| *x = (*x * factor).clamp(0.0, 1.0));
+        plane.iter_mut().for_each(|x| *x = (*x * factor).clamp(0.0, 1.0));
     }
 }
 
 fn contrast(planes: [&mut [f32]; 3], factor: f32) {
-    let sums = [0, 1, 2]
-        .map(|c: usize| planes[c].iter().map(|&x| f64::from(x)).sum::<f64>() * f64::from(GREY[c]));
+    let sums = [0, 1, 2].map(|c: usize| planes[c].iter().map(|&x| f64::from(x)).sum::<f64>() * f64::from(GREY[c]));
     let mean = (sums.iter().sum::<f64>() / planes[0].len() as f64) as f32;
     for plane in planes {
-        plane
-            .iter_mut()
-            .for_each(|x| *x = (mean + factor * (*x - mean)).clamp(0.0, 1.0));
+        plane.iter_mut().for_each(|x| *x = (mean + factor * (*x - mean)).clamp(0.0, 1.0));
     }
 }
 
@@ -224,9 +187,7 @@ mod tests {
     use rand::SeedableRng;
 
     fn picture(shift: usize) -> Image {
-        Image::from_fn(3, 6, 10, |c, v, u| {
-            ((c * 37 + v * 11 + u * 5 + shift) % 97) as f32 / 96.0
-        })
+        Image::from_fn(3, 6, 10, |c, v, u| ((c * 37 + v * 11 + u * 5 + shift) % 97) as f32 / 96.0)
     }
 
     fn frame(index: usize) -> Arc<Frame> {
@@ -234,33 +195,15 @@ mod tests {
         Arc::new(Frame {
             image: picture(index),
             intrinsics: Intrinsics::new(8.0, 9.0, 3.7, 2.9, 10, 6).unwrap(),
-            depth: Some(Map::from_vec(
-                6,
-                10,
-                (0..60).map(|i| 1.0 + i as f32).collect(),
-            )),
-            world_from_camera: Some(Se3::from_rotation_vector(
-                &omega,
-                Vector3::new(1.0, 2.0, index as f64),
-            )),
+            depth: Some(Map::from_vec(6, 10, (0..60).map(|i| 1.0 + i as f32).collect())),
+            world_from_camera: Some(Se3::from_rotation_vector(&omega, Vector3::new(1.0, 2.0, index as f64))),
             name: index.to_string(),
         })
     }
 
     fn jitter(brightness: f32, contrast: f32, saturation: f32, hue: f32) -> Jitter {
-        let order = [
-            Change::Contrast,
-            Change::Hue,
-            Change::Brightness,
-            Change::Saturation,
-        ];
-        Jitter {
-            brightness,
-            contrast,
-            saturation,
-            hue,
-            order,
-        }
+        let order = [Change::Contrast, Change::Hue, Change::Brightness, Change::Saturation];
+        Jitter { brightness, contrast, saturation, hue, order }
     }
 
     fn close(a: &[f32], b: &[f32]) -> bool {
@@ -269,10 +212,7 @@ mod tests {
 
     #[test]
     fn neutral_jitter_changes_nothing() {
-        assert!(close(
-            &jitter(1.0, 1.0, 1.0, 0.0).apply(&picture(3)).data,
-            &picture(3).data
-        ));
+        assert!(close(&jitter(1.0, 1.0, 1.0, 0.0).apply(&picture(3)).data, &picture(3).data));
     }
 
     #[test]
@@ -285,29 +225,14 @@ mod tests {
         let two = Image::from_vec(3, 1, 2, vec![0.2, 0.6, 0.2, 0.6, 0.2, 0.6]);
         let flat = jitter(1.0, 0.5, 1.0, 0.0).apply(&two);
         let mean = 0.4 * 0.9999;
-        assert!(
-            close(
-                &flat.data[..2],
-                &[mean + 0.5 * (0.2 - mean), mean + 0.5 * (0.6 - mean)]
-            ),
-            "{flat:?}"
-        );
+        assert!(close(&flat.data[..2], &[mean + 0.5 * (0.2 - mean), mean + 0.5 * (0.6 - mean)]), "{flat:?}");
     }
 
     #[test]
     fn hue_turns_through_the_primaries() {
-        assert!(close(
-            &turn_colour([1.0, 0.0, 0.0], 1.0 / 3.0),
-            &[0.0, 1.0, 0.0]
-        ));
-        assert!(close(
-            &turn_colour([1.0, 0.0, 0.0], -1.0 / 3.0),
-            &[0.0, 0.0, 1.0]
-        ));
-        assert!(close(
-            &turn_colour([1.0, 0.0, 0.0], 1.0 / 6.0),
-            &[1.0, 1.0, 0.0]
-        ));
+        assert!(close(&turn_colour([1.0, 0.0, 0.0], 1.0 / 3.0), &[0.0, 1.0, 0.0]));
+        assert!(close(&turn_colour([1.0, 0.0, 0.0], -1.0 / 3.0), &[0.0, 0.0, 1.0]));
+        assert!(close(&turn_colour([1.0, 0.0, 0.0], 1.0 / 6.0), &[1.0, 1.0, 0.0]));
         assert!(close(&turn_colour([0.2, 0.8, 0.5], 0.5), &[0.8, 0.2, 0.5]));
     }
 
@@ -324,10 +249,7 @@ mod tests {
             assert!((-0.1..=0.1).contains(&jitter.hue));
             orders[jitter.order[0] as usize] += 1;
         }
-        assert!(
-            orders.iter().all(|count| (60..140).contains(count)),
-            "{orders:?}"
-        );
+        assert!(orders.iter().all(|count| (60..140).contains(count)), "{orders:?}");
         assert_eq!(a.random::<u64>(), b.random::<u64>());
     }
 
@@ -337,63 +259,35 @@ mod tests {
         let draws: Vec<Augmentation> = (0..400).map(|_| Augmentation::draw(&mut rng)).collect();
         let flips = draws.iter().filter(|d| d.flip).count();
         let jitters = draws.iter().filter(|d| d.jitter.is_some()).count();
-        assert!(
-            (160..240).contains(&flips) && (160..240).contains(&jitters),
-            "{flips} {jitters}"
-        );
+        assert!((160..240).contains(&flips) && (160..240).contains(&jitters), "{flips} {jitters}");
     }
 
     #[test]
     fn a_flipped_snippet_keeps_its_order_and_its_geometry() {
-        let old = Snippet {
-            name: "s".into(),
-            target: frame(1),
-            sources: [frame(0), frame(2)],
-        };
+        let old = Snippet { name: "s".into(), target: frame(1), sources: [frame(0), frame(2)] };
         let new = flip_snippet(&old);
-        assert_eq!(
-            (new.sources[0].name.as_str(), new.sources[1].name.as_str()),
-            ("0", "2")
-        );
+        assert_eq!((new.sources[0].name.as_str(), new.sources[1].name.as_str()), ("0", "2"));
         assert_eq!(new.target.image.at(2, 3, 1), old.target.image.at(2, 3, 8));
         assert_eq!(new.target.intrinsics.u0, 9.0 - 3.7);
         // A point seen at (u, v) in the source of the old snippet is seen at (W - 1 - u, v) in the new one.
         let seen = |s: &Snippet, x: f64| {
             let to_world = s.target.world_from_camera.unwrap();
             let source = &s.sources[1];
-            let point = source
-                .world_from_camera
-                .unwrap()
-                .inverse()
-                .compose(&to_world)
-                .transform(&Vector3::new(x, 0.4, 5.0));
+            let point = source.world_from_camera.unwrap().inverse().compose(&to_world).transform(&Vector3::new(x, 0.4, 5.0));
             source.intrinsics.project(&point).unwrap()
         };
         let (a, b) = (seen(&old, 0.7), seen(&new, -0.7));
-        assert!(
-            (b.x - (9.0 - a.x)).abs() < 1e-9 && (b.y - a.y).abs() < 1e-9,
-            "{a} {b}"
-        );
+        assert!((b.x - (9.0 - a.x)).abs() < 1e-9 && (b.y - a.y).abs() < 1e-9, "{a} {b}");
         assert!(new.target.world_from_camera.unwrap().is_orthonormal(1e-12));
     }
 
     #[test]
     fn augmentation_separates_geometry_from_colours() {
-        let snippet = Snippet {
-            name: "s".into(),
-            target: frame(1),
-            sources: [frame(0), frame(2)],
-        };
-        let change = Augmentation {
-            flip: false,
-            jitter: Some(jitter(0.8, 1.0, 1.0, 0.05)),
-        };
+        let snippet = Snippet { name: "s".into(), target: frame(1), sources: [frame(0), frame(2)] };
+        let change = Augmentation { flip: false, jitter: Some(jitter(0.8, 1.0, 1.0, 0.05)) };
         assert_eq!(change.geometry(&snippet).target.image, snippet.target.image);
         assert_ne!(change.colours(&snippet.target.image), snippet.target.image);
-        let nothing = Augmentation {
-            flip: false,
-            jitter: None,
-        };
+        let nothing = Augmentation { flip: false, jitter: None };
         assert_eq!(nothing.colours(&snippet.target.image), snippet.target.image);
     }
 

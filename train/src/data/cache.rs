@@ -24,10 +24,7 @@ struct State {
 impl FrameCache {
     /// A cache that holds at most `budget` bytes of rasters.
     pub(crate) fn new(budget: usize) -> Self {
-        Self {
-            budget,
-            state: Mutex::new(State::default()),
-        }
+        Self { budget, state: Mutex::new(State::default()) }
     }
 
     /// The frame stored under (sequence, frame), now the youngest.
@@ -84,13 +81,7 @@ mod tests {
     fn frame(name: &str) -> Arc<Frame> {
         let intrinsics = Intrinsics::new(10.0, 10.0, 5.0, 5.0, 10, 10).unwrap();
         let image = Image::zeros(3, 10, 10);
-        Arc::new(Frame {
-            image,
-            intrinsics,
-            depth: None,
-            world_from_camera: None,
-            name: name.to_owned(),
-        })
+        Arc::new(Frame { image, intrinsics, depth: None, world_from_camera: None, name: name.to_owned() })
     }
 
     #[test]

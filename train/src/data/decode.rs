@@ -32,37 +32,18 @@ pub fn read_image(path: &Path) -> Result<Image, DataError> {
         DynamicImage::ImageRgb16(p) => planar(width, height, p.as_raw(), 3, 65535.0),
         DynamicImage::ImageRgba16(p) => planar(width, height, p.as_raw(), 4, 65535.0),
         other => {
-            let reason = format!(
-                "pixels of kind {:?}, expected 8 or 16 bits a channel",
-                other.color()
-            );
-            return Err(DataError::malformed(
-                path,
-                reason,
-                "export it as an 8-bit PNG or a JPEG",
-            ));
+            let reason = format!("pixels of kind {:?}, expected 8 or 16 bits a channel", other.color());
+            return Err(DataError::malformed(path, reason, "export it as an 8-bit PNG or a JPEG"));
         }
     })
 }
 
 /// Interleaved samples of `stride` channels to three planes; one or two channels are grey (and alpha).
-fn planar<S: Copy + Into<f32>>(
-    width: usize,
-    height: usize,
-    samples: &[S],
-    stride: usize,
-    white: f32,
-) -> Image {
+fn planar<S: Copy + Into<f32>>(width: usize, height: usize, samples: &[S], stride: usize, white: f32) -> Image {
     let mut data = Vec::with_capacity(3 * width * height);
     for channel in 0..3 {
         let offset = if stride < 3 { 0 } else { channel };
-        data.extend(
-            samples
-                .iter()
-                .skip(offset)
-                .step_by(stride)
-                .map(|&s| s.into() / white),
-        );
+        data.extend(samples.iter().skip(offset).step_by(stride).map(|&s| s.into() / white));
     }
     Image::from_vec(3, height, width, data)
 }
@@ -73,21 +54,11 @@ pub(crate) fn read_picture(path: &Path) -> Result<(usize, usize, DynamicImage), 
     let format = format_of(path, &bytes)?;
     let (width, height) = dimensions(path, Cursor::new(&bytes), format)?;
     if format == ImageFormat::Jpeg && !jpeg_has_end(&bytes) {
-        return Err(DataError::malformed(
-            path,
-            "truncated image (no JPEG end marker)",
-            DAMAGED,
-        ));
+        return Err(DataError::malformed(path, "truncated image (no JPEG end marker)", DAMAGED));
     }
     let picture = ImageReader::with_format(Cursor::new(&bytes), format)
         .decode()
-        .map_err(|error| {
-            DataError::malformed(
-                path,
-                format!("truncated or damaged image ({error})"),
-                DAMAGED,
-            )
-        })?;
+        .map_err(|error| DataError::malformed(path, format!("truncated or damaged image ({error})"), DAMAGED))?;
     Ok((width, height, picture))
 }
 
@@ -100,10 +71,7 @@ pub fn image_size(path: &Path) -> Result<(usize, usize), DataError> {
     let unreadable = |error: io::Error| DataError::read(path, "image", error);
     let mut file = File::open(path).map_err(unreadable)?;
     let mut head = Vec::new();
-    file.by_ref()
-        .take(16)
-        .read_to_end(&mut head)
-        .map_err(unreadable)?;
+    file.by_ref().take(16).read_to_end(&mut head).map_err(unreadable)?;
     let format = format_of(path, &head)?;
     if !has_end(&mut file, format).map_err(unreadable)? {
         return read_picture(path).map(|(width, height, _)| (width, height));
@@ -113,11 +81,7 @@ pub fn image_size(path: &Path) -> Result<(usize, usize), DataError> {
 }
 
 fn has_end(file: &mut File, format: ImageFormat) -> io::Result<bool> {
-    let end: &[u8] = if format == ImageFormat::Png {
-        &PNG_END
-    } else {
-        &JPEG_END
-    };
+    let end: &[u8] = if format == ImageFormat::Png { &PNG_END } else { &JPEG_END };
     if file.seek(SeekFrom::End(0))? < end.len() as u64 {
         return Ok(false);
     }
@@ -130,57 +94,31 @@ fn has_end(file: &mut File, format: ImageFormat) -> io::Result<bool> {
 /// PNG or JPEG by the first bytes, in agreement with the extension.
 fn format_of(path: &Path, head: &[u8]) -> Result<ImageFormat, DataError> {
     if head.is_empty() {
-        return Err(DataError::malformed(
-            path,
-            "truncated image (the file is empty)",
-            DAMAGED,
-        ));
+        return Err(DataError::malformed(path, "truncated image (the file is empty)", DAMAGED));
     }
     let format = match image::guess_format(head) {
         Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
         _ => {
-            return Err(DataError::malformed(
-                path,
-                "neither PNG nor JPEG content",
-                "convert it to PNG or JPEG",
-            ));
+            return Err(DataError::malformed(path, "neither PNG nor JPEG content", "convert it to PNG or JPEG"));
         }
     };
     match ImageFormat::from_path(path) {
         Ok(extension) if extension != format => {
             let reason = format!("the extension says {extension:?} but the content is {format:?}");
-            Err(DataError::malformed(
-                path,
-                reason,
-                "rename or convert the file",
-            ))
+            Err(DataError::malformed(path, reason, "rename or convert the file"))
         }
         _ => Ok(format),
     }
 }
 
-fn dimensions(
-    path: &Path,
-    reader: impl io::BufRead + Seek,
-    format: ImageFormat,
-) -> Result<(usize, usize), DataError> {
+fn dimensions(path: &Path, reader: impl io::BufRead + Seek, format: ImageFormat) -> Result<(usize, usize), DataError> {
     let (width, height) = ImageReader::with_format(reader, format)
         .into_dimensions()
-        .map_err(|error| {
-            DataError::malformed(
-                path,
-                format!("truncated or damaged image ({error})"),
-                DAMAGED,
-            )
-        })?;
+        .map_err(|error| DataError::malformed(path, format!("truncated or damaged image ({error})"), DAMAGED))?;
     let (width, height) = (width as usize, height as usize);
     if width == 0 || height == 0 || width > MAX_SIDE || height > MAX_SIDE {
         let reason = format!("implausible size {width}x{height}");
-        return Err(DataError::malformed(
-            path,
-            reason,
-            format!("sides of 1 to {MAX_SIDE} pixels are accepted"),
-        ));
+        return Err(DataError::malformed(path, reason, format!("sides of 1 to {MAX_SIDE} pixels are accepted")));
     }
     Ok((width, height))
 }
@@ -211,17 +149,13 @@ mod tests {
     use std::path::PathBuf;
 
     fn picture() -> Image {
-        Image::from_fn(3, 16, 24, |c, v, u| {
-            ((c * 40 + v * 9 + u * 5) % 256) as f32 / 255.0
-        })
+        Image::from_fn(3, 16, 24, |c, v, u| ((c * 40 + v * 9 + u * 5) % 256) as f32 / 255.0)
     }
 
     fn jpeg() -> Vec<u8> {
         let samples: Vec<u8> = (0..24 * 16 * 3).map(|i| (i * 7 % 251) as u8).collect();
         let mut bytes = Vec::new();
-        JpegEncoder::new(&mut bytes)
-            .write_image(&samples, 24, 16, ExtendedColorType::Rgb8)
-            .unwrap();
+        JpegEncoder::new(&mut bytes).write_image(&samples, 24, 16, ExtendedColorType::Rgb8).unwrap();
         bytes
     }
 
@@ -235,41 +169,18 @@ mod tests {
     fn grey_alpha_and_sixteen_bits_become_three_planes() {
         let folder = tempfile::tempdir().unwrap();
         let cases: [(&str, DynamicImage, [f32; 3]); 4] = [
-            (
-                "g8.png",
-                image::GrayImage::from_pixel(3, 2, image::Luma([51])).into(),
-                [0.2; 3],
-            ),
-            (
-                "rgba.png",
-                image::RgbaImage::from_pixel(3, 2, image::Rgba([255, 51, 0, 9])).into(),
-                [1.0, 0.2, 0.0],
-            ),
-            (
-                "g16.png",
-                image::ImageBuffer::from_pixel(3, 2, image::Luma([13107u16])).into(),
-                [0.2; 3],
-            ),
-            (
-                "rgb16.png",
-                image::ImageBuffer::from_pixel(3, 2, image::Rgb([65535u16, 0, 13107])).into(),
-                [1.0, 0.0, 0.2],
-            ),
+            ("g8.png", image::GrayImage::from_pixel(3, 2, image::Luma([51])).into(), [0.2; 3]),
+            ("rgba.png", image::RgbaImage::from_pixel(3, 2, image::Rgba([255, 51, 0, 9])).into(), [1.0, 0.2, 0.0]),
+            ("g16.png", image::ImageBuffer::from_pixel(3, 2, image::Luma([13107u16])).into(), [0.2; 3]),
+            ("rgb16.png", image::ImageBuffer::from_pixel(3, 2, image::Rgb([65535u16, 0, 13107])).into(), [1.0, 0.0, 0.2]),
         ];
         for (name, picture, expected) in cases {
             let path = folder.path().join(name);
             picture.save(&path).unwrap();
             let image = read_image(&path).unwrap();
-            assert_eq!(
-                (image.channels, image.height, image.width),
-                (3, 2, 3),
-                "{name}"
-            );
+            assert_eq!((image.channels, image.height, image.width), (3, 2, 3), "{name}");
             for (channel, value) in expected.iter().enumerate() {
-                assert!(
-                    (image.at(channel, 1, 2) - value).abs() < 1e-6,
-                    "{name} channel {channel}"
-                );
+                assert!((image.at(channel, 1, 2) - value).abs() < 1e-6, "{name} channel {channel}");
             }
             assert_eq!(image_size(&path).unwrap(), (3, 2), "{name}");
         }
@@ -290,10 +201,7 @@ mod tests {
                     }
                     _ => panic!("{name} cut at {len}: header and picture disagree: {both:?}"),
                 }
-                assert!(
-                    len > bytes.len() - 20 || both[0].is_some(),
-                    "{name} cut at {len} was read"
-                );
+                assert!(len > bytes.len() - 20 || both[0].is_some(), "{name} cut at {len} was read");
             }
         }
     }
@@ -317,31 +225,18 @@ mod tests {
         let mut bytes = encode_rgb_png(&picture());
         let middle = bytes.len() / 2;
         bytes[middle] ^= 1;
-        let message = read_image(&stored(&folder, "a.png", &bytes))
-            .unwrap_err()
-            .to_string();
-        assert!(
-            message.contains("a.png: truncated or damaged image"),
-            "{message}"
-        );
+        let message = read_image(&stored(&folder, "a.png", &bytes)).unwrap_err().to_string();
+        assert!(message.contains("a.png: truncated or damaged image"), "{message}");
     }
 
     #[test]
     fn rejections_name_file_and_reason() {
         let folder = tempfile::tempdir().unwrap();
-        let message = |name: &str, bytes: &[u8]| {
-            read_image(&stored(&folder, name, bytes))
-                .unwrap_err()
-                .to_string()
-        };
+        let message = |name: &str, bytes: &[u8]| read_image(&stored(&folder, name, bytes)).unwrap_err().to_string();
         assert!(message("e.png", b"").contains("e.png: truncated image (the file is empty)"));
         assert!(message("t.png", b"plain text").contains("t.png: neither PNG nor JPEG content"));
-        assert!(
-            message("l.png", &jpeg()).contains("the extension says Png but the content is Jpeg")
-        );
-        let missing = read_image(&folder.path().join("no.png"))
-            .unwrap_err()
-            .to_string();
+        assert!(message("l.png", &jpeg()).contains("the extension says Png but the content is Jpeg"));
+        let missing = read_image(&folder.path().join("no.png")).unwrap_err().to_string();
         assert!(missing.contains("no.png: image not found"), "{missing}");
     }
 
@@ -349,9 +244,7 @@ mod tests {
     fn an_implausible_size_is_refused_before_decoding() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("wide.png");
-        image::GrayImage::new(MAX_SIDE as u32 + 1, 1)
-            .save(&path)
-            .unwrap();
+        image::GrayImage::new(MAX_SIDE as u32 + 1, 1).save(&path).unwrap();
         let message = image_size(&path).unwrap_err().to_string();
         assert!(message.contains("implausible size 16385x1"), "{message}");
     }

@@ -126,64 +126,32 @@ fn line_suffix(line: Option<usize>) -> String {
 impl DataError {
     /// A [`DataError::Malformed`] about a whole file.
     pub fn malformed(path: &Path, reason: impl Into<String>, advice: impl Into<String>) -> Self {
-        Self::Malformed {
-            path: path.to_owned(),
-            line: None,
-            reason: reason.into(),
-            advice: advice.into(),
-        }
+        Self::Malformed { path: path.to_owned(), line: None, reason: reason.into(), advice: advice.into() }
     }
 
     /// A [`DataError::Malformed`] about one line (counted from 1) of a text file.
-    pub fn at_line(
-        path: &Path,
-        line: usize,
-        reason: impl Into<String>,
-        advice: impl Into<String>,
-    ) -> Self {
-        Self::Malformed {
-            path: path.to_owned(),
-            line: Some(line),
-            reason: reason.into(),
-            advice: advice.into(),
-        }
+    pub fn at_line(path: &Path, line: usize, reason: impl Into<String>, advice: impl Into<String>) -> Self {
+        Self::Malformed { path: path.to_owned(), line: Some(line), reason: reason.into(), advice: advice.into() }
     }
 
     /// A read failure: [`DataError::Missing`] when nothing is there, else [`DataError::Read`]. `what` says what was wanted.
     pub fn read(path: &Path, what: &str, source: io::Error) -> Self {
         if source.kind() == io::ErrorKind::NotFound {
-            return Self::Missing {
-                path: path.to_owned(),
-                what: what.to_owned(),
-                advice: "check the path".to_owned(),
-            };
+            return Self::Missing { path: path.to_owned(), what: what.to_owned(), advice: "check the path".to_owned() };
         }
-        Self::Read {
-            path: path.to_owned(),
-            source,
-        }
+        Self::Read { path: path.to_owned(), source }
     }
 
     /// A write failure, with advice that fits the system's reason (no space, no permission, read-only file system).
     pub fn write(path: &Path, source: io::Error) -> Self {
         let advice = match source.kind() {
-            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-                "free some space or write to another disk"
-            }
-            io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
-                "choose a folder that may be written to"
-            }
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "free some space or write to another disk",
+            io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => "choose a folder that may be written to",
             io::ErrorKind::NotFound => "create the parent folder first or choose another place",
-            io::ErrorKind::NotADirectory | io::ErrorKind::AlreadyExists => {
-                "a file is in the way, choose another place"
-            }
+            io::ErrorKind::NotADirectory | io::ErrorKind::AlreadyExists => "a file is in the way, choose another place",
             _ => "choose another place or check the disk",
         };
-        Self::Write {
-            path: path.to_owned(),
-            source,
-            advice: advice.to_owned(),
-        }
+        Self::Write { path: path.to_owned(), source, advice: advice.to_owned() }
     }
 }
 
@@ -193,41 +161,23 @@ mod tests {
 
     #[test]
     fn messages_name_place_reason_and_advice() {
-        let error = DataError::at_line(
-            Path::new("poses/09.txt"),
-            17,
-            "non-finite value nan",
-            "repair the line",
-        );
-        assert_eq!(
-            error.to_string(),
-            "poses/09.txt:17: non-finite value nan; repair the line"
-        );
+        let error = DataError::at_line(Path::new("poses/09.txt"), 17, "non-finite value nan", "repair the line");
+        assert_eq!(error.to_string(), "poses/09.txt:17: non-finite value nan; repair the line");
         let error = DataError::malformed(Path::new("a.png"), "truncated image", "copy it again");
         assert_eq!(error.to_string(), "a.png: truncated image; copy it again");
     }
 
     #[test]
     fn write_advice_fits_the_reason() {
-        let message = |kind: io::ErrorKind| {
-            DataError::write(Path::new("out"), io::Error::from(kind)).to_string()
-        };
+        let message = |kind: io::ErrorKind| DataError::write(Path::new("out"), io::Error::from(kind)).to_string();
         assert!(message(io::ErrorKind::StorageFull).contains("free some space"));
         assert!(message(io::ErrorKind::ReadOnlyFilesystem).contains("may be written to"));
     }
 
     #[test]
     fn read_tells_missing_from_unreadable() {
-        let read = |kind: io::ErrorKind| {
-            DataError::read(Path::new("x"), "calib.txt", io::Error::from(kind))
-        };
-        assert!(matches!(
-            read(io::ErrorKind::NotFound),
-            DataError::Missing { .. }
-        ));
-        assert!(matches!(
-            read(io::ErrorKind::PermissionDenied),
-            DataError::Read { .. }
-        ));
+        let read = |kind: io::ErrorKind| DataError::read(Path::new("x"), "calib.txt", io::Error::from(kind));
+        assert!(matches!(read(io::ErrorKind::NotFound), DataError::Missing { .. }));
+        assert!(matches!(read(io::ErrorKind::PermissionDenied), DataError::Read { .. }));
     }
 }

@@ -40,29 +40,13 @@ pub struct FileDataset {
 impl FileDataset {
     pub(crate) fn new(name: String, sequences: Vec<FileSequence>, options: &LoadOptions) -> Self {
         let cache = FrameCache::new(options.cache_bytes);
-        Self {
-            name,
-            sequences,
-            size: options.size,
-            center_crop: options.center_crop,
-            cache,
-        }
+        Self { name, sequences, size: options.size, center_crop: options.center_crop, cache }
     }
 
     fn check_index(&self, sequence: usize, frame: usize) -> Result<&FileSequence, DataError> {
-        let range = |dataset: &str, what, index, len| DataError::OutOfRange {
-            dataset: dataset.to_owned(),
-            what,
-            index,
-            len,
-        };
+        let range = |dataset: &str, what, index, len| DataError::OutOfRange { dataset: dataset.to_owned(), what, index, len };
         let Some(found) = self.sequences.get(sequence) else {
-            return Err(range(
-                &self.name,
-                "sequence",
-                sequence,
-                self.sequences.len(),
-            ));
+            return Err(range(&self.name, "sequence", sequence, self.sequences.len()));
         };
         if frame >= found.files.len() {
             return Err(range(&found.name, "frame", frame, found.files.len()));
@@ -79,36 +63,21 @@ impl FileDataset {
                 "size {}x{}, it was {}x{} when the folder was opened",
                 image.width, image.height, camera.width, camera.height
             );
-            return Err(DataError::malformed(
-                path,
-                reason,
-                "do not change files while they are in use",
-            ));
+            return Err(DataError::malformed(path, reason, "do not change files while they are in use"));
         }
         let depth = match &sequence.depth[frame] {
             Some(file) => Some(depth_of_size(file, camera)?),
             None => None,
         };
         let view = self.prepare(View::new(image, *camera, depth));
-        let name = path
-            .file_stem()
-            .map(|stem| stem.to_string_lossy().into_owned())
-            .unwrap_or_default();
+        let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         let world_from_camera = sequence.poses.as_ref().map(|poses| poses[frame]);
-        Ok(Frame {
-            image: view.image,
-            intrinsics: view.intrinsics,
-            depth: view.depth,
-            world_from_camera,
-            name,
-        })
+        Ok(Frame { image: view.image, intrinsics: view.intrinsics, depth: view.depth, world_from_camera, name })
     }
 
     fn prepare(&self, view: View) -> View {
         match self.size {
-            Some((width, height)) if self.center_crop => view
-                .center_crop_to_shape(width, height)
-                .resize(width, height),
+            Some((width, height)) if self.center_crop => view.center_crop_to_shape(width, height).resize(width, height),
             Some((width, height)) => view.resize(width, height),
             None => view,
         }
@@ -142,12 +111,7 @@ impl Dataset for FileDataset {
         Ok(loaded)
     }
 
-    fn pair_truth(
-        &self,
-        sequence: usize,
-        target_frame: usize,
-        source_frame: usize,
-    ) -> Result<Option<PairTruth>, DataError> {
+    fn pair_truth(&self, sequence: usize, target_frame: usize, source_frame: usize) -> Result<Option<PairTruth>, DataError> {
         self.check_index(sequence, target_frame)?;
         self.check_index(sequence, source_frame)?;
         Ok(None)
@@ -163,15 +127,8 @@ fn depth_of_size(path: &Path, camera: &Intrinsics) -> Result<Map, DataError> {
     if (map.width, map.height) == (camera.width, camera.height) {
         return Ok(map);
     }
-    let reason = format!(
-        "depth {}x{}, image {}x{}",
-        map.width, map.height, camera.width, camera.height
-    );
-    Err(DataError::malformed(
-        path,
-        reason,
-        "store depth at the size of the image",
-    ))
+    let reason = format!("depth {}x{}, image {}x{}", map.width, map.height, camera.width, camera.height);
+    Err(DataError::malformed(path, reason, "store depth at the size of the image"))
 }
 
 /// The entries of a folder whose names do not start with a dot, sorted by name.
@@ -194,10 +151,7 @@ pub(crate) fn image_files(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
         matches!(extension.as_deref(), Some("png" | "jpg" | "jpeg")) && path.is_file()
     };
-    Ok(sorted_entries(folder, "folder of frames")?
-        .into_iter()
-        .filter(is_image)
-        .collect())
+    Ok(sorted_entries(folder, "folder of frames")?.into_iter().filter(is_image).collect())
 }
 
 /// The common (width, height) of the files of a sequence.
@@ -205,21 +159,13 @@ pub(crate) fn image_files(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
 /// **Errors** fewer than three files, a file that is no complete image, two sizes (both files are named).
 pub(crate) fn common_size(folder: &Path, files: &[PathBuf]) -> Result<(usize, usize), DataError> {
     if files.len() < 3 {
-        return Err(DataError::TooFewFrames {
-            path: folder.to_owned(),
-            found: files.len(),
-        });
+        return Err(DataError::TooFewFrames { path: folder.to_owned(), found: files.len() });
     }
     let first = image_size(&files[0])?;
     for file in &files[1..] {
         let size = image_size(file)?;
         if size != first {
-            return Err(DataError::SizeMismatch {
-                path: file.clone(),
-                size,
-                other_path: files[0].clone(),
-                other_size: first,
-            });
+            return Err(DataError::SizeMismatch { path: file.clone(), size, other_path: files[0].clone(), other_size: first });
         }
     }
     Ok(first)
@@ -238,21 +184,11 @@ pub(crate) fn check_count(
     }
     let advice = format!("give one row a frame, or remove the file to go without {what}");
     let (path, frames) = (path.to_owned(), folder.to_owned());
-    Err(DataError::CountMismatch {
-        path,
-        what,
-        found,
-        expected,
-        frames,
-        advice,
-    })
+    Err(DataError::CountMismatch { path, what, found, expected, frames, advice })
 }
 
 /// The last part of a path as text, for names.
 pub(crate) fn last_part(path: &Path) -> String {
-    let part = path
-        .file_name()
-        .or_else(|| path.components().next_back().map(|c| c.as_os_str()));
-    part.map(|name| name.to_string_lossy().into_owned())
-        .unwrap_or_default()
+    let part = path.file_name().or_else(|| path.components().next_back().map(|c| c.as_os_str()));
+    part.map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }

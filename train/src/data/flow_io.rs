@@ -29,10 +29,7 @@ pub struct KnownFlow {
 ///
 /// **Errors** as [`parse_flo`], and when the file cannot be read.
 pub fn read_flo(path: &Path) -> Result<KnownFlow, DataError> {
-    parse_flo(
-        path,
-        &fs::read(path).map_err(|error| DataError::read(path, "flow file", error))?,
-    )
+    parse_flo(path, &fs::read(path).map_err(|error| DataError::read(path, "flow file", error))?)
 }
 
 /// A flow from the bytes of a `.flo` file: `PIEH`, width and height as 32-bit integers, then (u, v) pairs of 32-bit floats,
@@ -44,38 +41,21 @@ pub fn parse_flo(path: &Path, bytes: &[u8]) -> Result<KnownFlow, DataError> {
     let advice = "check that the file is complete and of the .flo form";
     if bytes.len() < FLO_HEADER || bytes[..4] != FLO_MAGIC {
         let head = &bytes[..bytes.len().min(4)];
-        return Err(DataError::malformed(
-            path,
-            format!("not a .flo file (first bytes {head:02x?})"),
-            advice,
-        ));
+        return Err(DataError::malformed(path, format!("not a .flo file (first bytes {head:02x?})"), advice));
     }
-    let side =
-        |at: usize| i32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+    let side = |at: usize| i32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
     let (width, height) = (side(4), side(8));
     let sides = 1..=MAX_SIDE as i32;
     if !sides.contains(&width) || !sides.contains(&height) {
-        return Err(DataError::malformed(
-            path,
-            format!("implausible size {width}x{height}"),
-            advice,
-        ));
+        return Err(DataError::malformed(path, format!("implausible size {width}x{height}"), advice));
     }
     let (width, height) = (width as usize, height as usize);
     let expected = FLO_HEADER + 8 * width * height;
     if bytes.len() != expected {
-        let reason = format!(
-            "{} bytes, expected {expected} for {width}x{height}",
-            bytes.len()
-        );
+        let reason = format!("{} bytes, expected {expected} for {width}x{height}", bytes.len());
         return Err(DataError::malformed(path, reason, advice));
     }
-    let mut flow = FlowMap {
-        height,
-        width,
-        u: Vec::new(),
-        v: Vec::new(),
-    };
+    let mut flow = FlowMap { height, width, u: Vec::new(), v: Vec::new() };
     let mut known = Vec::with_capacity(width * height);
     for pair in bytes[FLO_HEADER..].chunks_exact(8) {
         let u = f32::from_le_bytes([pair[0], pair[1], pair[2], pair[3]]);
@@ -99,11 +79,7 @@ pub fn encode_flo(flow: &FlowMap, known: &[bool]) -> Vec<u8> {
     bytes.extend((flow.width as i32).to_le_bytes());
     bytes.extend((flow.height as i32).to_le_bytes());
     for ((&u, &v), &is_known) in flow.u.iter().zip(&flow.v).zip(known) {
-        let pair = if is_known {
-            [u, v]
-        } else {
-            [FLO_UNKNOWN_WRITTEN; 2]
-        };
+        let pair = if is_known { [u, v] } else { [FLO_UNKNOWN_WRITTEN; 2] };
         bytes.extend(pair.iter().flat_map(|value| value.to_le_bytes()));
     }
     bytes
@@ -152,15 +128,8 @@ pub fn write_flow_png(path: &Path, flow: &FlowMap, known: &[bool]) -> Result<(),
 pub fn read_flow_png(path: &Path) -> Result<KnownFlow, DataError> {
     let (width, height, picture) = read_picture(path)?;
     let DynamicImage::ImageRgb16(samples) = picture else {
-        let reason = format!(
-            "a flow of kind {:?}, expected 16-bit colour",
-            picture.color()
-        );
-        return Err(DataError::malformed(
-            path,
-            reason,
-            "store flow as 16-bit colour PNG: 64 u + 32768, 64 v + 32768, 1",
-        ));
+        let reason = format!("a flow of kind {:?}, expected 16-bit colour", picture.color());
+        return Err(DataError::malformed(path, reason, "store flow as 16-bit colour PNG: 64 u + 32768, 64 v + 32768, 1"));
     };
     let mut flow = FlowMap::zeros(height, width);
     let mut known = vec![false; width * height];
@@ -178,14 +147,8 @@ pub fn read_flow_png(path: &Path) -> Result<KnownFlow, DataError> {
 fn check_shapes(what: &str, flow: &FlowMap, known: &[bool]) {
     let (width, height) = (flow.width, flow.height);
     let sizes = [flow.u.len(), flow.v.len(), known.len()];
-    assert!(
-        sizes.iter().all(|&len| len == width * height),
-        "{what}: {width}x{height} with u, v, known of {sizes:?}"
-    );
-    assert!(
-        (1..=MAX_SIDE).contains(&width) && (1..=MAX_SIDE).contains(&height),
-        "{what}: {width}x{height}"
-    );
+    assert!(sizes.iter().all(|&len| len == width * height), "{what}: {width}x{height} with u, v, known of {sizes:?}");
+    assert!((1..=MAX_SIDE).contains(&width) && (1..=MAX_SIDE).contains(&height), "{what}: {width}x{height}");
 }
 
 #[cfg(test)]
@@ -200,29 +163,15 @@ mod tests {
             u: vec![0.0, 1.5, -2.25, 511.0, 0.0, -512.0],
             v: vec![0.25, -8.0, 3.0, 1.0, 0.0, 7.5],
         };
-        KnownFlow {
-            flow,
-            known: vec![true, true, true, true, false, true],
-        }
+        KnownFlow { flow, known: vec![true, true, true, true, false, true] }
     }
 
     #[test]
     fn flo_bytes_are_as_published() {
-        let flow = FlowMap {
-            height: 1,
-            width: 1,
-            u: vec![1.0],
-            v: vec![-2.0],
-        };
+        let flow = FlowMap { height: 1, width: 1, u: vec![1.0], v: vec![-2.0] };
         let bytes = encode_flo(&flow, &[true]);
-        assert_eq!(
-            f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]),
-            202021.25
-        );
-        assert_eq!(
-            bytes[4..],
-            [1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0x80, 0x3F, 0, 0, 0, 0xC0]
-        );
+        assert_eq!(f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]), 202021.25);
+        assert_eq!(bytes[4..], [1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0x80, 0x3F, 0, 0, 0, 0xC0]);
     }
 
     #[test]
@@ -241,12 +190,7 @@ mod tests {
     fn what_the_png_cannot_hold_is_unknown_and_the_rest_is_rounded() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
-        let flow = FlowMap {
-            height: 1,
-            width: 4,
-            u: vec![512.0, -513.0, f32::NAN, 0.01],
-            v: vec![0.0, 0.0, 0.0, -0.01],
-        };
+        let flow = FlowMap { height: 1, width: 4, u: vec![512.0, -513.0, f32::NAN, 0.01], v: vec![0.0, 0.0, 0.0, -0.01] };
         write_flow_png(&path, &flow, &[true; 4]).unwrap();
         let back = read_flow_png(&path).unwrap();
         assert_eq!(back.known, [false, false, false, true]);
@@ -255,15 +199,9 @@ mod tests {
 
     #[test]
     fn faults_of_flo_files_are_named() {
-        let message = |bytes: &[u8]| {
-            parse_flo(Path::new("a.flo"), bytes)
-                .unwrap_err()
-                .to_string()
-        };
+        let message = |bytes: &[u8]| parse_flo(Path::new("a.flo"), bytes).unwrap_err().to_string();
         assert!(message(b"").starts_with("a.flo: not a .flo file"));
-        assert!(
-            message(&[0; 40]).starts_with("a.flo: not a .flo file (first bytes [00, 00, 00, 00])")
-        );
+        assert!(message(&[0; 40]).starts_with("a.flo: not a .flo file (first bytes [00, 00, 00, 00])"));
         let good = encode_flo(&sample().flow, &sample().known);
         assert!(message(&good[..59]).starts_with("a.flo: 59 bytes, expected 60 for 3x2"));
         let mut huge = good.clone();
@@ -277,10 +215,7 @@ mod tests {
         let path = folder.path().join("f.png");
         crate::data::write_rgb_png(&path, &crate::data::Image::zeros(3, 2, 2)).unwrap();
         let message = read_flow_png(&path).unwrap_err().to_string();
-        assert!(
-            message.contains("f.png: a flow of kind Rgb8, expected 16-bit colour"),
-            "{message}"
-        );
+        assert!(message.contains("f.png: a flow of kind Rgb8, expected 16-bit colour"), "{message}");
     }
 
     proptest! {

@@ -13,9 +13,7 @@
 use std::path::{Path, PathBuf};
 
 use super::DataError;
-use super::file_dataset::{
-    FileDataset, FileSequence, check_count, common_size, image_files, last_part, sorted_entries,
-};
+use super::file_dataset::{FileDataset, FileSequence, check_count, common_size, image_files, last_part, sorted_entries};
 use super::intrinsics_file::{EXAMPLE, IntrinsicsFile};
 use super::options::LoadOptions;
 use super::poses::read_poses;
@@ -28,10 +26,7 @@ use super::times::read_times;
 pub fn open_folder(root: &Path, options: &LoadOptions) -> Result<FileDataset, DataError> {
     options.check()?;
     let folders = sequence_folders(root, &options.sequences)?;
-    let sequences = folders
-        .iter()
-        .map(|folder| open_sequence(root, folder))
-        .collect::<Result<Vec<_>, _>>()?;
+    let sequences = folders.iter().map(|folder| open_sequence(root, folder)).collect::<Result<Vec<_>, _>>()?;
     Ok(FileDataset::new(last_part(root), sequences, options))
 }
 
@@ -68,11 +63,7 @@ fn sequence_folders(root: &Path, wanted: &[String]) -> Result<Vec<PathBuf>, Data
     let all = all_sequence_folders(root)?;
     if all.is_empty() {
         let advice = "put PNG or JPEG frames into the folder, or name another one".to_owned();
-        return Err(DataError::Missing {
-            path: root.to_owned(),
-            what: "a frame (PNG or JPEG)".to_owned(),
-            advice,
-        });
+        return Err(DataError::Missing { path: root.to_owned(), what: "a frame (PNG or JPEG)".to_owned(), advice });
     }
     if wanted.is_empty() {
         return Ok(all);
@@ -80,13 +71,11 @@ fn sequence_folders(root: &Path, wanted: &[String]) -> Result<Vec<PathBuf>, Data
     let names: Vec<String> = all.iter().map(|path| last_part(path)).collect();
     let find = |name: &String| {
         let index = names.iter().position(|known| known == name);
-        index
-            .map(|index| all[index].clone())
-            .ok_or_else(|| DataError::Missing {
-                path: root.join(name),
-                what: format!("sequence {name} with frames"),
-                advice: format!("choose among {}", names.join(", ")),
-            })
+        index.map(|index| all[index].clone()).ok_or_else(|| DataError::Missing {
+            path: root.join(name),
+            what: format!("sequence {name} with frames"),
+            advice: format!("choose among {}", names.join(", ")),
+        })
     };
     wanted.iter().map(find).collect()
 }
@@ -98,46 +87,26 @@ fn open_sequence(root: &Path, folder: &Path) -> Result<FileSequence, DataError> 
     let camera_file = intrinsics_path(root, folder)?;
     let intrinsics = IntrinsicsFile::read(&camera_file)?.camera(&camera_file, width, height)?;
     let pose_file = folder.join("poses.txt");
-    let poses = if pose_file.exists() {
-        Some(read_poses(&pose_file)?)
-    } else {
-        None
-    };
+    let poses = if pose_file.exists() { Some(read_poses(&pose_file)?) } else { None };
     if let Some(poses) = &poses {
         check_count(&pose_file, "poses", poses.len(), files.len(), &images)?;
     }
     let times_file = folder.join("times.txt");
-    let times = if times_file.exists() {
-        Some(read_times(&times_file)?)
-    } else {
-        None
-    };
+    let times = if times_file.exists() { Some(read_times(&times_file)?) } else { None };
     if let Some(times) = &times {
         check_count(&times_file, "times", times.len(), files.len(), &images)?;
     }
     let depth = vec![None; files.len()];
-    Ok(FileSequence {
-        name: last_part(folder),
-        files,
-        intrinsics,
-        poses,
-        times,
-        depth,
-    })
+    Ok(FileSequence { name: last_part(folder), files, intrinsics, poses, times, depth })
 }
 
 fn intrinsics_path(root: &Path, folder: &Path) -> Result<PathBuf, DataError> {
-    let candidates = [folder, root]
-        .into_iter()
-        .flat_map(|place| ["intrinsics.txt", "intrinsics.toml"].map(|f| place.join(f)));
-    candidates
-        .into_iter()
-        .find(|path| path.is_file())
-        .ok_or_else(|| DataError::Missing {
-            path: folder.to_owned(),
-            what: "intrinsics.txt (or intrinsics.toml)".to_owned(),
-            advice: EXAMPLE.to_owned(),
-        })
+    let candidates = [folder, root].into_iter().flat_map(|place| ["intrinsics.txt", "intrinsics.toml"].map(|f| place.join(f)));
+    candidates.into_iter().find(|path| path.is_file()).ok_or_else(|| DataError::Missing {
+        path: folder.to_owned(),
+        what: "intrinsics.txt (or intrinsics.toml)".to_owned(),
+        advice: EXAMPLE.to_owned(),
+    })
 }
 
 #[cfg(test)]
@@ -164,34 +133,20 @@ mod tests {
     }
 
     fn message(folder: &tempfile::TempDir) -> String {
-        open_folder(folder.path(), &LoadOptions::default())
-            .err()
-            .expect("must be refused")
-            .to_string()
+        open_folder(folder.path(), &LoadOptions::default()).err().expect("must be refused").to_string()
     }
 
     #[test]
     fn frames_come_in_the_order_of_their_names_with_scaled_intrinsics() {
         let folder = layout();
-        fs::write(
-            folder.path().join("poses.txt"),
-            "1 0 0 0 0 1 0 0 0 0 1 2\n".repeat(4),
-        )
-        .unwrap();
+        fs::write(folder.path().join("poses.txt"), "1 0 0 0 0 1 0 0 0 0 1 2\n".repeat(4)).unwrap();
         fs::write(folder.path().join("notes.md"), "not a frame").unwrap();
         let data = open_folder(folder.path(), &LoadOptions::default()).unwrap();
         assert_eq!((data.sequence_count(), data.sequence_len(0)), (1, 4));
         let frame = data.frame(0, 2).unwrap();
         assert_eq!(frame.name, "20");
         assert!((frame.image.data[0] - 2.0 / 51.0).abs() < 1e-6);
-        assert_eq!(
-            (
-                frame.intrinsics.fu,
-                frame.intrinsics.u0,
-                frame.intrinsics.width
-            ),
-            (20.0, 11.5, 24)
-        );
+        assert_eq!((frame.intrinsics.fu, frame.intrinsics.u0, frame.intrinsics.width), (20.0, 11.5, 24));
         assert_eq!(frame.world_from_camera.unwrap().translation.z, 2.0);
         assert!(data.pair_truth(0, 1, 2).unwrap().is_none());
     }
@@ -204,31 +159,12 @@ mod tests {
         fs::create_dir(folder.path().join("empty")).unwrap();
         fs::write(folder.path().join("intrinsics.toml"), CAMERA).unwrap();
         let data = open_folder(folder.path(), &LoadOptions::default()).unwrap();
-        assert_eq!(
-            (
-                data.sequence_name(0),
-                data.sequence_name(1),
-                data.sequence_len(1)
-            ),
-            ("a".into(), "b".into(), 3)
-        );
-        let one = LoadOptions {
-            sequences: vec!["b".into()],
-            ..LoadOptions::default()
-        };
-        assert_eq!(
-            open_folder(folder.path(), &one).unwrap().sequence_count(),
-            1
-        );
-        let none = LoadOptions {
-            sequences: vec!["c".into()],
-            ..LoadOptions::default()
-        };
+        assert_eq!((data.sequence_name(0), data.sequence_name(1), data.sequence_len(1)), ("a".into(), "b".into(), 3));
+        let one = LoadOptions { sequences: vec!["b".into()], ..LoadOptions::default() };
+        assert_eq!(open_folder(folder.path(), &one).unwrap().sequence_count(), 1);
+        let none = LoadOptions { sequences: vec!["c".into()], ..LoadOptions::default() };
         let refused = open_folder(folder.path(), &none).err().unwrap().to_string();
-        assert!(
-            refused.contains("sequence c with frames not found; choose among a, b"),
-            "{refused}"
-        );
+        assert!(refused.contains("sequence c with frames not found; choose among a, b"), "{refused}");
     }
 
     #[test]
@@ -236,27 +172,16 @@ mod tests {
         let folder = layout();
         fs::remove_file(folder.path().join("intrinsics.txt")).unwrap();
         let message = message(&folder);
-        assert!(
-            message.contains("intrinsics.txt (or intrinsics.toml) not found; write a file"),
-            "{message}"
-        );
+        assert!(message.contains("intrinsics.txt (or intrinsics.toml) not found; write a file"), "{message}");
         assert!(message.contains("u0 = 607.193"), "{message}");
     }
 
     #[test]
     fn faults_are_named() {
         let folder = layout();
-        fs::write(
-            folder.path().join("intrinsics.txt"),
-            CAMERA.replace("24", "30"),
-        )
-        .unwrap();
+        fs::write(folder.path().join("intrinsics.txt"), CAMERA.replace("24", "30")).unwrap();
         assert!(message(&folder).contains("intrinsics belong to 48x30, but the frames are 24x12"));
-        fs::write(
-            folder.path().join("intrinsics.txt"),
-            CAMERA.replace("40", "-40"),
-        )
-        .unwrap();
+        fs::write(folder.path().join("intrinsics.txt"), CAMERA.replace("40", "-40")).unwrap();
         assert!(message(&folder).contains("intrinsics.txt: focal length fu = -40"));
         fs::write(folder.path().join("intrinsics.txt"), CAMERA).unwrap();
         fs::write(folder.path().join("poses.txt"), "1 0 0 0 0 1 0 0 0 0 1 2\n").unwrap();
@@ -270,9 +195,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         assert!(message(&folder).contains("a frame (PNG or JPEG) not found"));
         put_frames(folder.path(), 1);
-        assert!(
-            message(&folder).contains("1 frame(s) found, but training needs at least three frames")
-        );
+        assert!(message(&folder).contains("1 frame(s) found, but training needs at least three frames"));
         put_frames(folder.path(), 3);
         write_rgb_png(&folder.path().join("99.png"), &Image::zeros(3, 3, 3)).unwrap();
         assert!(message(&folder).contains("99.png: size 3x3, but"));

@@ -56,12 +56,7 @@ pub trait Dataset: Send + Sync {
     /// Truth between two frames of a sequence, `None` where it is not known.
     ///
     /// **Errors** as [`Dataset::frame`].
-    fn pair_truth(
-        &self,
-        sequence: usize,
-        target_frame: usize,
-        source_frame: usize,
-    ) -> Result<Option<PairTruth>, DataError>;
+    fn pair_truth(&self, sequence: usize, target_frame: usize, source_frame: usize) -> Result<Option<PairTruth>, DataError>;
 
     /// The times of the frames of a sequence in seconds, where they are known. **Panics** when there is no such sequence.
     fn times(&self, sequence: usize) -> Option<&[f64]> {
@@ -87,38 +82,19 @@ pub struct Snippet {
 pub fn snippet(dataset: &dyn Dataset, sequence: usize, frame: usize) -> Result<Snippet, DataError> {
     let count = dataset.sequence_count();
     if sequence >= count {
-        return Err(DataError::OutOfRange {
-            dataset: dataset.name(),
-            what: "sequence",
-            index: sequence,
-            len: count,
-        });
+        return Err(DataError::OutOfRange { dataset: dataset.name(), what: "sequence", index: sequence, len: count });
     }
     let len = dataset.sequence_len(sequence);
     let name = format!("{}/{}", dataset.name(), dataset.sequence_name(sequence));
     if frame == 0 || frame + 1 >= len {
-        return Err(DataError::OutOfRange {
-            dataset: name,
-            what: "target frame",
-            index: frame,
-            len,
-        });
+        return Err(DataError::OutOfRange { dataset: name, what: "target frame", index: frame, len });
     }
     let target = dataset.frame(sequence, frame)?;
-    let sources = [
-        dataset.frame(sequence, frame - 1)?,
-        dataset.frame(sequence, frame + 1)?,
-    ];
-    Ok(Snippet {
-        name: format!("{name}/{}", target.name),
-        target,
-        sources,
-    })
+    let sources = [dataset.frame(sequence, frame - 1)?, dataset.frame(sequence, frame + 1)?];
+    Ok(Snippet { name: format!("{name}/{}", target.name), target, sources })
 }
 
 /// Every (sequence, target frame) of which [`snippet`] makes a snippet, in order: n - 2 for a sequence of n frames.
 pub fn snippet_targets(dataset: &dyn Dataset) -> Vec<(usize, usize)> {
-    (0..dataset.sequence_count())
-        .flat_map(|s| (1..dataset.sequence_len(s).saturating_sub(1)).map(move |f| (s, f)))
-        .collect()
+    (0..dataset.sequence_count()).flat_map(|s| (1..dataset.sequence_len(s).saturating_sub(1)).map(move |f| (s, f))).collect()
 }

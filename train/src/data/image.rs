@@ -16,12 +16,7 @@ pub struct Image {
 impl Image {
     /// A black image of the given size.
     pub fn zeros(channels: usize, height: usize, width: usize) -> Self {
-        Self {
-            channels,
-            height,
-            width,
-            data: vec![0.0; channels * height * width],
-        }
+        Self { channels, height, width, data: vec![0.0; channels * height * width] }
     }
 
     /// An image from planar values.
@@ -30,38 +25,19 @@ impl Image {
     #[track_caller]
     pub fn from_vec(channels: usize, height: usize, width: usize, data: Vec<f32>) -> Self {
         let expected = channels * height * width;
-        assert_eq!(
-            data.len(),
-            expected,
-            "Image::from_vec: {channels}x{height}x{width} needs {expected} values"
-        );
-        Self {
-            channels,
-            height,
-            width,
-            data,
-        }
+        assert_eq!(data.len(), expected, "Image::from_vec: {channels}x{height}x{width} needs {expected} values");
+        Self { channels, height, width, data }
     }
 
     /// An image from a function of (channel, row, column).
-    pub fn from_fn(
-        channels: usize,
-        height: usize,
-        width: usize,
-        f: impl Fn(usize, usize, usize) -> f32,
-    ) -> Self {
+    pub fn from_fn(channels: usize, height: usize, width: usize, f: impl Fn(usize, usize, usize) -> f32) -> Self {
         let mut data = Vec::with_capacity(channels * height * width);
         for c in 0..channels {
             for v in 0..height {
                 data.extend((0..width).map(|u| f(c, v, u)));
             }
         }
-        Self {
-            channels,
-            height,
-            width,
-            data,
-        }
+        Self { channels, height, width, data }
     }
 
     /// Pixels of one plane: `height * width`.
@@ -101,11 +77,7 @@ pub struct Map {
 impl Map {
     /// A map of zeros.
     pub fn zeros(height: usize, width: usize) -> Self {
-        Self {
-            height,
-            width,
-            data: vec![0.0; height * width],
-        }
+        Self { height, width, data: vec![0.0; height * width] }
     }
 
     /// A map from values, row by row.
@@ -113,17 +85,8 @@ impl Map {
     /// **Panics** when `data` does not have `height * width` values.
     #[track_caller]
     pub fn from_vec(height: usize, width: usize, data: Vec<f32>) -> Self {
-        assert_eq!(
-            data.len(),
-            height * width,
-            "Map::from_vec: {height}x{width} needs {} values",
-            height * width
-        );
-        Self {
-            height,
-            width,
-            data,
-        }
+        assert_eq!(data.len(), height * width, "Map::from_vec: {height}x{width} needs {} values", height * width);
+        Self { height, width, data }
     }
 
     /// The value at (row, column).
@@ -151,12 +114,7 @@ pub struct FlowMap {
 impl FlowMap {
     /// A flow of zeros.
     pub fn zeros(height: usize, width: usize) -> Self {
-        Self {
-            height,
-            width,
-            u: vec![0.0; height * width],
-            v: vec![0.0; height * width],
-        }
+        Self { height, width, u: vec![0.0; height * width], v: vec![0.0; height * width] }
     }
 
     /// Pixels: `height * width`.

@@ -27,21 +27,7 @@ use super::text::{filled_lines, parse_number, read_text};
 pub(crate) const EXAMPLE: &str = "write a file intrinsics.txt with these lines (your numbers):\n  \
     fu = 718.856\n  fv = 718.856\n  u0 = 607.193\n  v0 = 185.216\n  width = 1241\n  height = 376";
 
-const KEYS: [&str; 13] = [
-    "fu",
-    "fv",
-    "u0",
-    "v0",
-    "width",
-    "height",
-    "normalized",
-    "skew",
-    "k1",
-    "k2",
-    "k3",
-    "p1",
-    "p2",
-];
+const KEYS: [&str; 13] = ["fu", "fv", "u0", "v0", "width", "height", "normalized", "skew", "k1", "k2", "k3", "p1", "p2"];
 /// Largest relative difference of the two ratios when intrinsics are carried to another image size.
 const ASPECT_LIMIT: f64 = 0.005;
 
@@ -74,71 +60,36 @@ impl IntrinsicsFile {
             .filter(|(_, content)| !content.is_empty())
             .collect();
         match lines.first() {
-            Some((_, first))
-                if first.starts_with(|c: char| c.is_ascii_alphabetic() || c == '[') =>
-            {
-                keyed(path, &lines)
-            }
+            Some((_, first)) if first.starts_with(|c: char| c.is_ascii_alphabetic() || c == '[') => keyed(path, &lines),
             Some(_) => bare(path, &lines),
-            None => Err(DataError::malformed(
-                path,
-                "no numbers in the intrinsics file",
-                EXAMPLE,
-            )),
+            None => Err(DataError::malformed(path, "no numbers in the intrinsics file", EXAMPLE)),
         }
     }
 
     /// The camera for frames of the given size; intrinsics of another size are scaled when the shape is the same.
     ///
     /// **Errors** a shape that differs by more than 0.5 %, focal lengths that are not positive, a principal point far outside.
-    pub fn camera(
-        &self,
-        path: &Path,
-        width: usize,
-        height: usize,
-    ) -> Result<Intrinsics, DataError> {
+    pub fn camera(&self, path: &Path, width: usize, height: usize) -> Result<Intrinsics, DataError> {
         let (own_width, own_height) = self.size.unwrap_or((width, height));
-        let (ratio_u, ratio_v) = (
-            width as f64 / own_width as f64,
-            height as f64 / own_height as f64,
-        );
+        let (ratio_u, ratio_v) = (width as f64 / own_width as f64, height as f64 / own_height as f64);
         if (ratio_u / ratio_v - 1.0).abs() > ASPECT_LIMIT {
-            let reason = format!(
-                "intrinsics belong to {own_width}x{own_height}, but the frames are {width}x{height} of another shape"
-            );
-            return Err(DataError::malformed(
-                path,
-                reason,
-                "give the intrinsics of the frames as they are stored",
-            ));
+            let reason =
+                format!("intrinsics belong to {own_width}x{own_height}, but the frames are {width}x{height} of another shape");
+            return Err(DataError::malformed(path, reason, "give the intrinsics of the frames as they are stored"));
         }
         let [fu, fv, u0, v0] = self.values;
-        let (w, h) = if self.normalized {
-            (own_width as f64, own_height as f64)
-        } else {
-            (1.0, 1.0)
-        };
+        let (w, h) = if self.normalized { (own_width as f64, own_height as f64) } else { (1.0, 1.0) };
         let camera = checked_intrinsics([fu * w, fv * h, u0 * w, v0 * h], own_width, own_height)
             .map_err(|reason| DataError::malformed(path, reason, EXAMPLE))?;
-        Ok(if (own_width, own_height) == (width, height) {
-            camera
-        } else {
-            camera.resized(width, height)
-        })
+        Ok(if (own_width, own_height) == (width, height) { camera } else { camera.resized(width, height) })
     }
 }
 
 fn keyed(path: &Path, lines: &[(usize, &str)]) -> Result<IntrinsicsFile, DataError> {
     let mut found: [Option<f64>; KEYS.len()] = [None; KEYS.len()];
     for &(line, content) in lines {
-        let (key, value) = split_key(content).ok_or_else(|| {
-            DataError::at_line(
-                path,
-                line,
-                format!("{content:?} is not `key = value`"),
-                EXAMPLE,
-            )
-        })?;
+        let (key, value) = split_key(content)
+            .ok_or_else(|| DataError::at_line(path, line, format!("{content:?} is not `key = value`"), EXAMPLE))?;
         let Some(index) = KEYS.iter().position(|known| *known == canonical(key)) else {
             let reason = format!("unknown key {key:?}, known are {}", KEYS.join(", "));
             return Err(DataError::at_line(path, line, reason, EXAMPLE));
@@ -150,46 +101,26 @@ fn keyed(path: &Path, lines: &[(usize, &str)]) -> Result<IntrinsicsFile, DataErr
         };
         if index > 6 && number != 0.0 {
             let reason = format!("distortion {key} = {number} is not supported");
-            return Err(DataError::at_line(
-                path,
-                line,
-                reason,
-                "undistort the frames first and give the new intrinsics",
-            ));
+            return Err(DataError::at_line(path, line, reason, "undistort the frames first and give the new intrinsics"));
         }
         if found[index].replace(number).is_some() {
-            return Err(DataError::at_line(
-                path,
-                line,
-                format!("{key} appears twice"),
-                "keep one of the lines",
-            ));
+            return Err(DataError::at_line(path, line, format!("{key} appears twice"), "keep one of the lines"));
         }
     }
-    let need = |index: usize| {
-        found[index].ok_or_else(|| {
-            DataError::malformed(path, format!("{} is missing", KEYS[index]), EXAMPLE)
-        })
-    };
+    let need =
+        |index: usize| found[index].ok_or_else(|| DataError::malformed(path, format!("{} is missing", KEYS[index]), EXAMPLE));
     let values = [need(0)?, need(1)?, need(2)?, need(3)?];
     let size = match (found[4], found[5]) {
         (None, None) => None,
         _ => Some(whole_size(path, need(4)?, need(5)?)?),
     };
-    Ok(IntrinsicsFile {
-        values,
-        size,
-        normalized: found[6] == Some(1.0),
-    })
+    Ok(IntrinsicsFile { values, size, normalized: found[6] == Some(1.0) })
 }
 
 fn split_key(content: &str) -> Option<(&str, &str)> {
     let at = content.find(|c: char| c == '=' || c == ':' || c.is_whitespace())?;
     let (key, rest) = content.split_at(at);
-    Some((
-        key,
-        rest.trim_start_matches(|c: char| c == '=' || c == ':' || c.is_whitespace()),
-    ))
+    Some((key, rest.trim_start_matches(|c: char| c == '=' || c == ':' || c.is_whitespace())))
 }
 
 fn canonical(key: &str) -> &str {
@@ -219,55 +150,25 @@ fn is_side(value: f64) -> bool {
 fn bare(path: &Path, lines: &[(usize, &str)]) -> Result<IntrinsicsFile, DataError> {
     let mut n = Vec::new();
     for &(line, content) in lines {
-        for token in content
-            .split(|c: char| c.is_whitespace())
-            .filter(|token| !token.is_empty())
-        {
+        for token in content.split(|c: char| c.is_whitespace()).filter(|token| !token.is_empty()) {
             n.push(parse_number(path, line, token)?);
         }
     }
-    let plain = |values, size| {
-        Ok(IntrinsicsFile {
-            values,
-            size,
-            normalized: false,
-        })
-    };
+    let plain = |values, size| Ok(IntrinsicsFile { values, size, normalized: false });
     match n.len() {
         4 => plain([n[0], n[1], n[2], n[3]], None),
         6 => {
-            let fits = |w: f64, h: f64, u0: f64, v0: f64| {
-                is_side(w) && is_side(h) && (0.0..=w).contains(&u0) && (0.0..=h).contains(&v0)
-            };
+            let fits =
+                |w: f64, h: f64, u0: f64, v0: f64| is_side(w) && is_side(h) && (0.0..=w).contains(&u0) && (0.0..=h).contains(&v0);
             match (fits(n[0], n[1], n[4], n[5]), fits(n[4], n[5], n[2], n[3])) {
-                (true, false) => plain(
-                    [n[2], n[3], n[4], n[5]],
-                    Some((n[0] as usize, n[1] as usize)),
-                ),
-                (false, true) => plain(
-                    [n[0], n[1], n[2], n[3]],
-                    Some((n[4] as usize, n[5] as usize)),
-                ),
-                _ => Err(DataError::malformed(
-                    path,
-                    "six bare numbers whose order is unclear",
-                    EXAMPLE,
-                )),
+                (true, false) => plain([n[2], n[3], n[4], n[5]], Some((n[0] as usize, n[1] as usize))),
+                (false, true) => plain([n[0], n[1], n[2], n[3]], Some((n[4] as usize, n[5] as usize))),
+                _ => Err(DataError::malformed(path, "six bare numbers whose order is unclear", EXAMPLE)),
             }
         }
-        9 if [n[1], n[3], n[6], n[7]] == [0.0; 4] && n[8] == 1.0 => {
-            plain([n[0], n[4], n[2], n[5]], None)
-        }
-        9 => Err(DataError::malformed(
-            path,
-            "nine numbers that are no matrix fu 0 u0 0 fv v0 0 0 1 without skew",
-            EXAMPLE,
-        )),
-        found => Err(DataError::malformed(
-            path,
-            format!("{found} bare numbers, expected 4, 6 or 9"),
-            EXAMPLE,
-        )),
+        9 if [n[1], n[3], n[6], n[7]] == [0.0; 4] && n[8] == 1.0 => plain([n[0], n[4], n[2], n[5]], None),
+        9 => Err(DataError::malformed(path, "nine numbers that are no matrix fu 0 u0 0 fv v0 0 0 1 without skew", EXAMPLE)),
+        found => Err(DataError::malformed(path, format!("{found} bare numbers, expected 4, 6 or 9"), EXAMPLE)),
     }
 }
 
@@ -299,11 +200,7 @@ mod tests {
         ];
         for form in forms {
             let camera = camera(form, 640, 480).unwrap();
-            assert_eq!(
-                (camera.fu, camera.fv, camera.u0, camera.v0),
-                (500.0, 510.0, 320.0, 240.0),
-                "{form}"
-            );
+            assert_eq!((camera.fu, camera.fv, camera.u0, camera.v0), (500.0, 510.0, 320.0, 240.0), "{form}");
             assert_eq!((camera.width, camera.height), (640, 480));
         }
     }
@@ -311,21 +208,13 @@ mod tests {
     #[test]
     fn intrinsics_of_another_size_are_scaled() {
         let camera = camera("640 480 500 510 319.5 239.5", 320, 240).unwrap();
-        assert_eq!(
-            (camera.fu, camera.fv, camera.u0, camera.v0),
-            (250.0, 255.0, 159.5, 119.5)
-        );
+        assert_eq!((camera.fu, camera.fv, camera.u0, camera.v0), (250.0, 255.0, 159.5, 119.5));
     }
 
     #[test]
     fn another_shape_is_refused() {
-        let message = camera("640 480 500 510 320 240", 640, 400)
-            .unwrap_err()
-            .to_string();
-        assert!(
-            message.contains("intrinsics belong to 640x480, but the frames are 640x400"),
-            "{message}"
-        );
+        let message = camera("640 480 500 510 320 240", 640, 400).unwrap_err().to_string();
+        assert!(message.contains("intrinsics belong to 640x480, but the frames are 640x400"), "{message}");
     }
 
     #[test]
@@ -333,45 +222,22 @@ mod tests {
         let good = "fu = 500\nfv = 510\nu0 = 320\nv0 = 240\n";
         assert!(message("").contains("no numbers in the intrinsics file"));
         assert!(message(&good.replace("fv = 510\n", "")).contains("intrinsics.txt: fv is missing"));
-        assert!(
-            message(&format!("{good}zoom = 3"))
-                .contains("intrinsics.txt:5: unknown key \"zoom\", known are fu, fv")
-        );
+        assert!(message(&format!("{good}zoom = 3")).contains("intrinsics.txt:5: unknown key \"zoom\", known are fu, fv"));
         assert!(message(&format!("{good}fx = 3")).contains("intrinsics.txt:5: fx appears twice"));
         assert!(message(&format!("{good}width = 640")).contains("height is missing"));
+        assert!(message(&format!("{good}width = 640.5\nheight = 480")).contains("image size 640.5x480, expected whole"));
         assert!(
-            message(&format!("{good}width = 640.5\nheight = 480"))
-                .contains("image size 640.5x480, expected whole")
+            message(&format!("{good}k1 = -0.33")).contains("intrinsics.txt:5: distortion k1 = -0.33 is not supported; undistort")
         );
-        assert!(
-            message(&format!("{good}k1 = -0.33"))
-                .contains("intrinsics.txt:5: distortion k1 = -0.33 is not supported; undistort")
-        );
-        assert!(
-            message(&good.replace("500", "0"))
-                .contains("focal length fu = 0, expected a positive number")
-        );
-        assert!(
-            message(&good.replace("500", "inf")).contains("intrinsics.txt:1: non-finite value inf")
-        );
-        assert!(
-            message(&good.replace("500", "five"))
-                .contains("intrinsics.txt:1: \"five\" is not a number")
-        );
+        assert!(message(&good.replace("500", "0")).contains("focal length fu = 0, expected a positive number"));
+        assert!(message(&good.replace("500", "inf")).contains("intrinsics.txt:1: non-finite value inf"));
+        assert!(message(&good.replace("500", "five")).contains("intrinsics.txt:1: \"five\" is not a number"));
         assert!(message(&good.replace("500", "0.7")).contains("fu = 0.7 looks normalised"));
-        assert!(
-            message(&good.replace("240", "9000"))
-                .contains("principal point v0 = 9000 lies outside")
-        );
-        assert!(
-            message("[camera]\nfu = 3")
-                .contains("intrinsics.txt:1: \"[camera]\" is not `key = value`")
-        );
+        assert!(message(&good.replace("240", "9000")).contains("principal point v0 = 9000 lies outside"));
+        assert!(message("[camera]\nfu = 3").contains("intrinsics.txt:1: \"[camera]\" is not `key = value`"));
         assert!(message("500 510 320").contains("3 bare numbers, expected 4, 6 or 9"));
         assert!(message("500 2 320 0 510 240 0 0 1").contains("nine numbers that are no matrix"));
-        assert!(
-            message("200 100 100 50 150 75").contains("six bare numbers whose order is unclear")
-        );
+        assert!(message("200 100 100 50 150 75").contains("six bare numbers whose order is unclear"));
     }
 
     #[test]

@@ -12,9 +12,7 @@ use std::path::{Path, PathBuf};
 
 use super::DataError;
 use super::calib::Calibration;
-use super::file_dataset::{
-    FileDataset, FileSequence, check_count, common_size, image_files, last_part, sorted_entries,
-};
+use super::file_dataset::{FileDataset, FileSequence, check_count, common_size, image_files, last_part, sorted_entries};
 use super::options::{KittiCamera, LoadOptions};
 use super::poses::read_poses;
 use super::times::read_times;
@@ -27,10 +25,7 @@ use super::times::read_times;
 pub fn open_kitti_odometry(root: &Path, options: &LoadOptions) -> Result<FileDataset, DataError> {
     options.check()?;
     let folders = sequence_folders(root, options)?;
-    let sequences = folders
-        .iter()
-        .map(|folder| open_sequence(root, folder, options.camera))
-        .collect::<Result<Vec<_>, _>>()?;
+    let sequences = folders.iter().map(|folder| open_sequence(root, folder, options.camera)).collect::<Result<Vec<_>, _>>()?;
     Ok(FileDataset::new(last_part(root), sequences, options))
 }
 
@@ -42,9 +37,7 @@ fn sequence_folders(root: &Path, options: &LoadOptions) -> Result<Vec<PathBuf>, 
         .filter(|path| find_camera(path, options.camera).is_some())
         .collect();
     if all.is_empty() {
-        let what = options
-            .camera
-            .map_or("image_2 or image_0".to_owned(), KittiCamera::folder);
+        let what = options.camera.map_or("image_2 or image_0".to_owned(), KittiCamera::folder);
         return Err(DataError::Missing {
             path: parent,
             what: format!("a sequence with frames in {what}"),
@@ -54,19 +47,13 @@ fn sequence_folders(root: &Path, options: &LoadOptions) -> Result<Vec<PathBuf>, 
     if options.sequences.is_empty() {
         return Ok(all);
     }
-    options
-        .sequences
-        .iter()
-        .map(|name| find_sequence(&parent, &all, name))
-        .collect()
+    options.sequences.iter().map(|name| find_sequence(&parent, &all, name)).collect()
 }
 
 /// A sequence by its name; `6` finds `06`.
 fn find_sequence(parent: &Path, all: &[PathBuf], name: &str) -> Result<PathBuf, DataError> {
     let padded = format!("{name:0>2}");
-    let found = all
-        .iter()
-        .find(|path| last_part(path) == name || last_part(path) == padded);
+    let found = all.iter().find(|path| last_part(path) == name || last_part(path) == padded);
     found.cloned().ok_or_else(|| {
         let names: Vec<String> = all.iter().map(|path| last_part(path)).collect();
         DataError::Missing {
@@ -79,58 +66,30 @@ fn find_sequence(parent: &Path, all: &[PathBuf], name: &str) -> Result<PathBuf, 
 
 /// The wanted camera if it is there; without a wish left colour, then left grey.
 fn find_camera(folder: &Path, wanted: Option<KittiCamera>) -> Option<KittiCamera> {
-    let wishes = wanted.map_or(
-        vec![KittiCamera::LeftColour, KittiCamera::LeftGrey],
-        |camera| vec![camera],
-    );
-    wishes
-        .into_iter()
-        .find(|camera| folder.join(camera.folder()).is_dir())
+    let wishes = wanted.map_or(vec![KittiCamera::LeftColour, KittiCamera::LeftGrey], |camera| vec![camera]);
+    wishes.into_iter().find(|camera| folder.join(camera.folder()).is_dir())
 }
 
-fn open_sequence(
-    root: &Path,
-    folder: &Path,
-    wanted: Option<KittiCamera>,
-) -> Result<FileSequence, DataError> {
+fn open_sequence(root: &Path, folder: &Path, wanted: Option<KittiCamera>) -> Result<FileSequence, DataError> {
     let camera = find_camera(folder, wanted).unwrap_or(KittiCamera::LeftGrey);
     let name = last_part(folder);
     let images = folder.join(camera.folder());
     let files = image_files(&images)?;
     let (width, height) = common_size(&images, &files)?;
     check_numbering(&files)?;
-    let intrinsics =
-        Calibration::read(&folder.join("calib.txt"))?.camera(&camera.label(), width, height)?;
+    let intrinsics = Calibration::read(&folder.join("calib.txt"))?.camera(&camera.label(), width, height)?;
     let times_file = folder.join("times.txt");
-    let times = if times_file.exists() {
-        Some(read_times(&times_file)?)
-    } else {
-        None
-    };
+    let times = if times_file.exists() { Some(read_times(&times_file)?) } else { None };
     if let Some(times) = &times {
         check_count(&times_file, "times", times.len(), files.len(), &images)?;
     }
     let pose_file = root.join("poses").join(format!("{name}.txt"));
-    let poses = if pose_file.exists() {
-        Some(read_poses(&pose_file)?)
-    } else {
-        None
-    };
+    let poses = if pose_file.exists() { Some(read_poses(&pose_file)?) } else { None };
     if let Some(poses) = &poses {
         check_count(&pose_file, "poses", poses.len(), files.len(), &images)?;
     }
-    let depth = files
-        .iter()
-        .map(|file| depth_file(&root.join("depth").join(&name), file))
-        .collect();
-    Ok(FileSequence {
-        name,
-        files,
-        intrinsics,
-        poses,
-        times,
-        depth,
-    })
+    let depth = files.iter().map(|file| depth_file(&root.join("depth").join(&name), file)).collect();
+    Ok(FileSequence { name, files, intrinsics, poses, times, depth })
 }
 
 fn depth_file(folder: &Path, image: &Path) -> Option<PathBuf> {
@@ -142,28 +101,15 @@ fn depth_file(folder: &Path, image: &Path) -> Option<PathBuf> {
 fn check_numbering(files: &[PathBuf]) -> Result<(), DataError> {
     let mut previous: Option<u64> = None;
     for file in files {
-        let stem = file
-            .file_stem()
-            .map(|stem| stem.to_string_lossy().into_owned())
-            .unwrap_or_default();
+        let stem = file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         let number: u64 = stem.parse().map_err(|_| {
-            DataError::malformed(
-                file,
-                format!("bad frame number {stem:?}"),
-                "name frames 000000.png, 000001.png and so on",
-            )
+            DataError::malformed(file, format!("bad frame number {stem:?}"), "name frames 000000.png, 000001.png and so on")
         })?;
         if let Some(before) = previous
             && before.checked_add(1) != Some(number)
         {
-            let reason = format!(
-                "frame {number} follows frame {before}, frames between them are missing or out of order"
-            );
-            return Err(DataError::malformed(
-                file,
-                reason,
-                "supply the missing frames or renumber them",
-            ));
+            let reason = format!("frame {number} follows frame {before}, frames between them are missing or out of order");
+            return Err(DataError::malformed(file, reason, "supply the missing frames or renumber them"));
         }
         previous = Some(number);
     }

@@ -17,9 +17,7 @@ use dimode_geometry::Se3;
 
 use super::calib::format_projection;
 use super::file_dataset::{last_part, sorted_entries};
-use super::{
-    DataError, Dataset, Frame, encode_depth_png, encode_flow_png, encode_rgb_png, format_poses,
-};
+use super::{DataError, Dataset, Frame, encode_depth_png, encode_flow_png, encode_rgb_png, format_poses};
 
 /// Seconds between frames of a dataset that does not tell its times: the 10 Hz of KITTI.
 const FRAME_TIME: f64 = 0.1;
@@ -76,22 +74,14 @@ fn check_target(folder: &Path, overwrite: bool) -> Result<(), DataError> {
         return Ok(());
     }
     if !folder.is_dir() {
-        return Err(DataError::write(
-            folder,
-            io::Error::from(io::ErrorKind::NotADirectory),
-        ));
+        return Err(DataError::write(folder, io::Error::from(io::ErrorKind::NotADirectory)));
     }
     let entries = sorted_entries(folder, "output folder")?;
-    let replaceable = overwrite
-        && entries
-            .iter()
-            .all(|entry| LAYOUT.contains(&last_part(entry).as_str()));
+    let replaceable = overwrite && entries.iter().all(|entry| LAYOUT.contains(&last_part(entry).as_str()));
     if entries.is_empty() || replaceable {
         return Ok(());
     }
-    Err(DataError::Occupied {
-        path: folder.to_owned(),
-    })
+    Err(DataError::Occupied { path: folder.to_owned() })
 }
 
 fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
@@ -117,18 +107,10 @@ fn put_in_place(partial: &Path, root: &Path) -> Result<(), DataError> {
     remove(&old)
 }
 
-fn write_all(
-    dataset: &dyn Dataset,
-    root: &Path,
-    progress: &mut dyn FnMut(usize, usize),
-) -> Result<WriteSummary, DataError> {
+fn write_all(dataset: &dyn Dataset, root: &Path, progress: &mut dyn FnMut(usize, usize)) -> Result<WriteSummary, DataError> {
     let count = dataset.sequence_count();
     let total = (0..count).map(|s| dataset.sequence_len(s)).sum();
-    let mut writer = Writer {
-        dataset,
-        root,
-        summary: WriteSummary::default(),
-    };
+    let mut writer = Writer { dataset, root, summary: WriteSummary::default() };
     make_folder(root)?;
     for sequence in 0..count {
         writer.write_sequence(sequence, &mut |done| progress(done, total))?;
@@ -151,11 +133,7 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    fn write_sequence(
-        &mut self,
-        sequence: usize,
-        progress: &mut dyn FnMut(usize),
-    ) -> Result<(), DataError> {
+    fn write_sequence(&mut self, sequence: usize, progress: &mut dyn FnMut(usize)) -> Result<(), DataError> {
         let name = format!("{sequence:02}");
         let len = self.dataset.sequence_len(sequence);
         let folder = self.root.join("sequences").join(&name);
@@ -164,9 +142,7 @@ impl Writer<'_> {
         for index in 0..len {
             let frame = self.dataset.frame(sequence, index)?;
             if index == 0 {
-                let calib: String = (0..4)
-                    .map(|n| format_projection(&format!("P{n}"), &frame.intrinsics))
-                    .collect();
+                let calib: String = (0..4).map(|n| format_projection(&format!("P{n}"), &frame.intrinsics)).collect();
                 write_file(&folder.join("calib.txt"), calib.as_bytes())?;
             }
             poses.extend(frame.world_from_camera);
@@ -176,10 +152,7 @@ impl Writer<'_> {
             }
             progress(self.summary.frames);
         }
-        write_file(
-            &folder.join("times.txt"),
-            self.times(sequence, len).as_bytes(),
-        )?;
+        write_file(&folder.join("times.txt"), self.times(sequence, len).as_bytes())?;
         if len > 0 && poses.len() == len {
             self.write_poses(&name, &poses)?;
         }
@@ -214,16 +187,10 @@ impl Writer<'_> {
 
     fn write_poses(&mut self, name: &str, poses: &[Se3]) -> Result<(), DataError> {
         let first_from_world = poses[0].inverse();
-        let relative: Vec<Se3> = poses
-            .iter()
-            .map(|pose| first_from_world.compose(pose))
-            .collect();
+        let relative: Vec<Se3> = poses.iter().map(|pose| first_from_world.compose(pose)).collect();
         let folder = self.root.join("poses");
         make_folder(&folder)?;
-        write_file(
-            &folder.join(format!("{name}.txt")),
-            format_poses(&relative).as_bytes(),
-        )?;
+        write_file(&folder.join(format!("{name}.txt")), format_poses(&relative).as_bytes())?;
         self.summary.pose_files += 1;
         Ok(())
     }
@@ -231,18 +198,14 @@ impl Writer<'_> {
     fn times(&self, sequence: usize, len: usize) -> String {
         let known = self.dataset.times(sequence);
         let time = |index: usize| known.map_or(index as f64 * FRAME_TIME, |times| times[index]);
-        (0..len)
-            .map(|index| format!("{}\n", super::text::scientific(time(index), 6)))
-            .collect()
+        (0..len).map(|index| format!("{}\n", super::text::scientific(time(index), 6))).collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::data::{
-        FlowMap, Image, LoadOptions, Map, PairTruth, open_kitti_odometry, read_flow_png,
-    };
+    use crate::data::{FlowMap, Image, LoadOptions, Map, PairTruth, open_kitti_odometry, read_flow_png};
     use dimode_geometry::Intrinsics;
     use nalgebra::Vector3;
     use std::sync::Arc;
@@ -271,41 +234,18 @@ mod tests {
             }
             let omega = Vector3::new(0.0, 0.1 * f as f64, 0.02);
             Ok(Arc::new(Frame {
-                image: Image::from_fn(3, 8, 16, |c, v, u| {
-                    ((c + 3 * v + 5 * u + 7 * f + s) % 256) as f32 / 255.0
-                }),
+                image: Image::from_fn(3, 8, 16, |c, v, u| ((c + 3 * v + 5 * u + 7 * f + s) % 256) as f32 / 255.0),
                 intrinsics: Intrinsics::new(14.25, 15.5, 7.7, 3.4, 16, 8).unwrap(),
-                depth: Some(Map::from_vec(
-                    8,
-                    16,
-                    (0..128).map(|i| i as f32 / 4.0).collect(),
-                )),
-                world_from_camera: Some(Se3::from_rotation_vector(
-                    &omega,
-                    Vector3::new(5.0, 0.0, 1.0 + f as f64),
-                )),
+                depth: Some(Map::from_vec(8, 16, (0..128).map(|i| i as f32 / 4.0).collect())),
+                world_from_camera: Some(Se3::from_rotation_vector(&omega, Vector3::new(5.0, 0.0, 1.0 + f as f64))),
                 name: format!("{f}"),
             }))
         }
-        fn pair_truth(
-            &self,
-            _: usize,
-            target: usize,
-            source: usize,
-        ) -> Result<Option<PairTruth>, DataError> {
+        fn pair_truth(&self, _: usize, target: usize, source: usize) -> Result<Option<PairTruth>, DataError> {
             assert_eq!(source, target + 1);
-            let flow = FlowMap {
-                height: 8,
-                width: 16,
-                u: vec![1.5; 128],
-                v: vec![target as f32; 128],
-            };
+            let flow = FlowMap { height: 8, width: 16, u: vec![1.5; 128], v: vec![target as f32; 128] };
             let visible = (0..128).map(|i| i % 3 != 0).collect();
-            Ok(Some(PairTruth {
-                source_from_target: Se3::identity(),
-                flow,
-                visible,
-            }))
+            Ok(Some(PairTruth { source_from_target: Se3::identity(), flow, visible }))
         }
     }
 
@@ -318,20 +258,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("out");
         let mut steps = Vec::new();
-        let summary = write_kitti(&Made { fails: false }, &root, false, &mut |done, all| {
-            steps.push((done, all))
-        })
-        .unwrap();
-        assert_eq!(
-            summary,
-            WriteSummary {
-                sequences: 2,
-                frames: 8,
-                depth_maps: 8,
-                flow_maps: 6,
-                pose_files: 2
-            }
-        );
+        let summary = write_kitti(&Made { fails: false }, &root, false, &mut |done, all| steps.push((done, all))).unwrap();
+        assert_eq!(summary, WriteSummary { sequences: 2, frames: 8, depth_maps: 8, flow_maps: 6, pose_files: 2 });
         assert_eq!((steps[0], steps[7]), ((1, 8), (8, 8)));
         let made = Made { fails: false };
         let data = open_kitti_odometry(&root, &LoadOptions::default()).unwrap();
@@ -349,10 +277,7 @@ mod tests {
         }
         assert_eq!(data.times(0).unwrap()[3], 0.3);
         let flow = read_flow_png(&root.join("flow/01/000002.png")).unwrap();
-        assert_eq!(
-            (flow.flow.u[1], flow.flow.v[1], flow.known[0], flow.known[1]),
-            (1.5, 2.0, false, true)
-        );
+        assert_eq!((flow.flow.u[1], flow.flow.v[1], flow.known[0], flow.known[1]), (1.5, 2.0, false, true));
         assert!(!root.join("flow/01/000003.png").exists());
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
@@ -381,10 +306,7 @@ mod tests {
         fs::create_dir(&root).unwrap();
         write(false, &root, false).unwrap();
         let message = write(false, &root, false).unwrap_err().to_string();
-        assert!(
-            message.contains("out: exists and is not empty"),
-            "{message}"
-        );
+        assert!(message.contains("out: exists and is not empty"), "{message}");
         fs::create_dir_all(root.join("sequences/77")).unwrap();
         write(false, &root, true).unwrap();
         assert!(!root.join("sequences/77").exists());
@@ -395,10 +317,7 @@ mod tests {
     fn a_folder_with_other_things_is_never_replaced() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("thesis.txt"), "precious").unwrap();
-        assert!(matches!(
-            write(false, folder.path(), true),
-            Err(DataError::Occupied { .. })
-        ));
+        assert!(matches!(write(false, folder.path(), true), Err(DataError::Occupied { .. })));
         assert!(folder.path().join("thesis.txt").exists());
     }
 
@@ -417,13 +336,8 @@ mod tests {
         fs::write(&file, "x").unwrap();
         let message = write(false, &file, true).unwrap_err().to_string();
         assert!(message.contains("file: cannot be written"), "{message}");
-        let message = write(false, &file.join("out"), false)
-            .unwrap_err()
-            .to_string();
-        assert!(
-            message.contains("out.partial: cannot be written"),
-            "{message}"
-        );
+        let message = write(false, &file.join("out"), false).unwrap_err().to_string();
+        assert!(message.contains("out.partial: cannot be written"), "{message}");
         assert!(message.contains("a file is in the way"), "{message}");
     }
 }

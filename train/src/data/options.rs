@@ -51,13 +51,7 @@ pub struct LoadOptions {
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self {
-            sequences: Vec::new(),
-            camera: None,
-            size: None,
-            center_crop: false,
-            cache_bytes: 256 << 20,
-        }
+        Self { sequences: Vec::new(), camera: None, size: None, center_crop: false, cache_bytes: 256 << 20 }
     }
 }
 
@@ -72,10 +66,6 @@ impl LoadOptions {
             return Ok(());
         }
         let reason = format!("both sides must be 1 to {MAX_SIDE} pixels");
-        Err(DataError::Option {
-            option: "size",
-            value: format!("{width}x{height}"),
-            reason,
-        })
+        Err(DataError::Option { option: "size", value: format!("{width}x{height}"), reason })
     }
 }

@@ -33,19 +33,12 @@ pub fn parse_poses(path: &Path, text: &str) -> Result<Vec<Se3>, DataError> {
         let found = numbers.len();
         let expected = *width.get_or_insert(found);
         if !matches!(found, 12 | 13) || found != expected {
-            let reason = format!(
-                "{found} numbers, expected 12 (or 13 with a frame index), the same in every row"
-            );
+            let reason = format!("{found} numbers, expected 12 (or 13 with a frame index), the same in every row");
             return Err(DataError::at_line(path, line, reason, ROW_ADVICE));
         }
         if found == 13 && numbers[0] != poses.len() as f64 {
             let reason = format!("frame index {}, expected {}", numbers[0], poses.len());
-            return Err(DataError::at_line(
-                path,
-                line,
-                reason,
-                "number the rows from 0 without gaps",
-            ));
+            return Err(DataError::at_line(path, line, reason, "number the rows from 0 without gaps"));
         }
         poses.push(pose_of_row(path, line, &numbers[found - 12..])?);
     }
@@ -55,45 +48,24 @@ pub fn parse_poses(path: &Path, text: &str) -> Result<Vec<Se3>, DataError> {
 const ROW_ADVICE: &str = "each row is the 3x4 matrix [R t] of the camera in the world, row by row";
 
 fn pose_of_row(path: &Path, line: usize, row: &[f64]) -> Result<Se3, DataError> {
-    let rotation = Matrix3::new(
-        row[0], row[1], row[2], row[4], row[5], row[6], row[8], row[9], row[10],
-    );
+    let rotation = Matrix3::new(row[0], row[1], row[2], row[4], row[5], row[6], row[8], row[9], row[10]);
     let translation = Vector3::new(row[3], row[7], row[11]);
     let deviation = deviation_from_rotation(&rotation);
     if deviation > ORTHONORMAL_LIMIT {
-        let reason =
-            format!("R^T R deviates from I by {deviation:.1e} (limit {ORTHONORMAL_LIMIT:.0e})");
+        let reason = format!("R^T R deviates from I by {deviation:.1e} (limit {ORTHONORMAL_LIMIT:.0e})");
         return Err(DataError::at_line(path, line, reason, ROW_ADVICE));
     }
     if rotation.determinant() < 0.0 {
-        return Err(DataError::at_line(
-            path,
-            line,
-            "det R = -1, not a rotation",
-            ROW_ADVICE,
-        ));
+        return Err(DataError::at_line(path, line, "det R = -1, not a rotation", ROW_ADVICE));
     }
-    let pose = Se3 {
-        rotation,
-        translation,
-    };
-    Ok(if deviation > ORTHONORMAL_EXACT {
-        pose.orthonormalised()
-    } else {
-        pose
-    })
+    let pose = Se3 { rotation, translation };
+    Ok(if deviation > ORTHONORMAL_EXACT { pose.orthonormalised() } else { pose })
 }
 
 /// Largest entry of |R^T R - I|; infinite when the product overflows.
 fn deviation_from_rotation(rotation: &Matrix3<f64>) -> f64 {
     let difference = rotation.transpose() * rotation - Matrix3::identity();
-    difference.iter().fold(0.0, |largest: f64, x| {
-        if x.is_nan() {
-            f64::INFINITY
-        } else {
-            largest.max(x.abs())
-        }
-    })
+    difference.iter().fold(0.0, |largest: f64, x| if x.is_nan() { f64::INFINITY } else { largest.max(x.abs()) })
 }
 
 /// The text of a KITTI pose file, twelve numbers a row in scientific notation with 12 digits after the point.
@@ -103,14 +75,7 @@ pub fn format_poses(poses: &[Se3]) -> String {
         let row: Vec<String> = (0..12)
             .map(|i| {
                 let (r, c) = (i / 4, i % 4);
-                scientific(
-                    if c == 3 {
-                        pose.translation[r]
-                    } else {
-                        pose.rotation[(r, c)]
-                    },
-                    12,
-                )
+                scientific(if c == 3 { pose.translation[r] } else { pose.rotation[(r, c)] }, 12)
             })
             .collect();
         text.push_str(&row.join(" "));
@@ -127,9 +92,7 @@ mod tests {
     const IDENTITY: &str = "1 0 0 0 0 1 0 0 0 0 1 0";
 
     fn message(text: &str) -> String {
-        parse_poses(Path::new("poses/09.txt"), text)
-            .unwrap_err()
-            .to_string()
+        parse_poses(Path::new("poses/09.txt"), text).unwrap_err().to_string()
     }
 
     #[test]
@@ -137,10 +100,7 @@ mod tests {
         let poses = parse_poses(Path::new("p"), "0 0 1 5\t0 1 0 6 -1 0 0 7\r\n").unwrap();
         assert_eq!(poses.len(), 1);
         assert_eq!(poses[0].translation, Vector3::new(5.0, 6.0, 7.0));
-        assert_eq!(
-            poses[0].transform(&Vector3::new(1.0, 2.0, 3.0)),
-            Vector3::new(8.0, 8.0, 6.0)
-        );
+        assert_eq!(poses[0].transform(&Vector3::new(1.0, 2.0, 3.0)), Vector3::new(8.0, 8.0, 6.0));
     }
 
     #[test]
@@ -156,19 +116,10 @@ mod tests {
     #[test]
     fn faults_name_the_line_and_the_value() {
         let second = |row: &str| message(&format!("{IDENTITY}\n{row}\n"));
-        assert!(
-            second("1 0 0 0 0 1 0 0 0 0 1").starts_with("poses/09.txt:2: 11 numbers, expected 12")
-        );
-        assert!(
-            second("1 0 0 nan 0 1 0 0 0 0 1 0").starts_with("poses/09.txt:2: non-finite value nan")
-        );
-        assert!(
-            second("1 0 0 x 0 1 0 0 0 0 1 0").starts_with("poses/09.txt:2: \"x\" is not a number")
-        );
-        assert!(
-            second("1.01 0 0 0 0 1 0 0 0 0 1 0")
-                .starts_with("poses/09.txt:2: R^T R deviates from I by 2.0e-2")
-        );
+        assert!(second("1 0 0 0 0 1 0 0 0 0 1").starts_with("poses/09.txt:2: 11 numbers, expected 12"));
+        assert!(second("1 0 0 nan 0 1 0 0 0 0 1 0").starts_with("poses/09.txt:2: non-finite value nan"));
+        assert!(second("1 0 0 x 0 1 0 0 0 0 1 0").starts_with("poses/09.txt:2: \"x\" is not a number"));
+        assert!(second("1.01 0 0 0 0 1 0 0 0 0 1 0").starts_with("poses/09.txt:2: R^T R deviates from I by 2.0e-2"));
         assert!(second("1e300 0 0 0 0 1 0 0 0 0 1 0").contains("R^T R deviates"));
         assert!(second("-1 0 0 0 0 1 0 0 0 0 1 0").starts_with("poses/09.txt:2: det R = -1"));
     }
@@ -181,10 +132,8 @@ mod tests {
 
     #[test]
     fn format_reads_back() {
-        let poses = vec![
-            Se3::identity(),
-            Se3::from_rotation_vector(&Vector3::new(0.1, -0.2, 0.3), Vector3::new(1.0, -2.0, 1e-5)),
-        ];
+        let poses =
+            vec![Se3::identity(), Se3::from_rotation_vector(&Vector3::new(0.1, -0.2, 0.3), Vector3::new(1.0, -2.0, 1e-5))];
         let again = parse_poses(Path::new("p"), &format_poses(&poses)).unwrap();
         for (a, b) in poses.iter().zip(&again) {
             assert!((a.rotation - b.rotation).amax() < 1e-12);

@@ -22,13 +22,8 @@ fn taps(input: usize, output: usize) -> Vec<Tap> {
             let first = (centre - radius).ceil().clamp(0.0, last) as usize;
             let end = (centre + radius).floor().clamp(0.0, last) as usize;
             let inside = centre >= radius && centre + radius <= last;
-            let weights = (first..=end)
-                .map(|x| (1.0 - (x as f64 - centre).abs() / radius).max(0.0))
-                .collect();
-            Tap {
-                first,
-                weights: normalised(weights, centre - first as f64, inside),
-            }
+            let weights = (first..=end).map(|x| (1.0 - (x as f64 - centre).abs() / radius).max(0.0)).collect();
+            Tap { first, weights: normalised(weights, centre - first as f64, inside) }
         })
         .collect()
 }
@@ -39,25 +34,11 @@ fn taps(input: usize, output: usize) -> Vec<Tap> {
 fn normalised(mut weights: Vec<f64>, centre: f64, centred: bool) -> Vec<f32> {
     let sum: f64 = weights.iter().sum();
     weights.iter_mut().for_each(|w| *w /= sum);
-    let moment = |f: &dyn Fn(f64) -> f64| {
-        weights
-            .iter()
-            .enumerate()
-            .map(|(k, w)| w * f(k as f64))
-            .sum::<f64>()
-    };
+    let moment = |f: &dyn Fn(f64) -> f64| weights.iter().enumerate().map(|(k, w)| w * f(k as f64)).sum::<f64>();
     let mean = moment(&|k| k);
     let variance = moment(&|k| (k - mean) * (k - mean));
-    let slope = if centred && variance > 0.0 {
-        (centre - mean) / variance
-    } else {
-        0.0
-    };
-    weights
-        .iter()
-        .enumerate()
-        .map(|(k, w)| (w * (1.0 + slope * (k as f64 - mean))) as f32)
-        .collect()
+    let slope = if centred && variance > 0.0 { (centre - mean) / variance } else { 0.0 };
+    weights.iter().enumerate().map(|(k, w)| (w * (1.0 + slope * (k as f64 - mean))) as f32).collect()
 }
 
 /// An image at a new size, antialiased by a separable triangle filter; equal sizes give the same image. A linear ramp stays exactly where its pixels are (away from the border).
@@ -65,12 +46,7 @@ fn normalised(mut weights: Vec<f64>, centre: f64, centred: bool) -> Vec<f32> {
 /// **Panics** when the new size is empty.
 #[track_caller]
 pub fn resize_image(image: &Image, width: usize, height: usize) -> Image {
-    assert!(
-        width > 0 && height > 0,
-        "resize_image: {}x{} to {width}x{height}",
-        image.width,
-        image.height
-    );
+    assert!(width > 0 && height > 0, "resize_image: {}x{} to {width}x{height}", image.width, image.height);
     if (width, height) == (image.width, image.height) {
         return image.clone();
     }
@@ -89,11 +65,7 @@ fn resize_rows(plane: &[f32], width: usize, taps: &[Tap]) -> Vec<f32> {
     for row in plane.chunks_exact(width) {
         out.extend(taps.iter().map(|tap| {
             let inputs = &row[tap.first..tap.first + tap.weights.len()];
-            inputs
-                .iter()
-                .zip(&tap.weights)
-                .map(|(x, w)| x * w)
-                .sum::<f32>()
+            inputs.iter().zip(&tap.weights).map(|(x, w)| x * w).sum::<f32>()
         }));
     }
     out
@@ -105,10 +77,7 @@ fn resize_columns(plane: &[f32], width: usize, taps: &[Tap]) -> Vec<f32> {
     for (tap, target) in taps.iter().zip(out.chunks_exact_mut(width)) {
         for (k, weight) in tap.weights.iter().enumerate() {
             let row = &plane[(tap.first + k) * width..][..width];
-            target
-                .iter_mut()
-                .zip(row)
-                .for_each(|(t, x)| *t += weight * x);
+            target.iter_mut().zip(row).for_each(|(t, x)| *t += weight * x);
         }
     }
     out
@@ -119,12 +88,7 @@ fn resize_columns(plane: &[f32], width: usize, taps: &[Tap]) -> Vec<f32> {
 /// **Panics** when the new size is empty.
 #[track_caller]
 pub fn resize_map_nearest(map: &Map, width: usize, height: usize) -> Map {
-    assert!(
-        width > 0 && height > 0,
-        "resize_map_nearest: {}x{} to {width}x{height}",
-        map.width,
-        map.height
-    );
+    assert!(width > 0 && height > 0, "resize_map_nearest: {}x{} to {width}x{height}", map.width, map.height);
     let nearest = |i: usize, from: usize, to: usize| ((2 * i + 1) * from / (2 * to)).min(from - 1);
     let mut data = Vec::with_capacity(width * height);
     for v in 0..height {
@@ -154,14 +118,10 @@ mod tests {
             let (old_w, old_h) = (131, 77);
             let image = Image::from_fn(1, old_h, old_w, |_, v, u| 0.5 * u as f32 - 0.25 * v as f32);
             let new = resize_image(&image, width, height);
-            let at =
-                |i: usize, from: usize, to: usize| (i as f32 + 0.5) * from as f32 / to as f32 - 0.5;
+            let at = |i: usize, from: usize, to: usize| (i as f32 + 0.5) * from as f32 / to as f32 - 0.5;
             for (v, u) in [(height / 2, width / 2), (5, 6), (height - 6, width - 6)] {
                 let expected = 0.5 * at(u, old_w, width) - 0.25 * at(v, old_h, height);
-                assert!(
-                    (new.at(0, v, u) - expected).abs() < 1e-4,
-                    "{width}x{height} ({u}, {v})"
-                );
+                assert!((new.at(0, v, u) - expected).abs() < 1e-4, "{width}x{height} ({u}, {v})");
             }
         }
     }
@@ -170,10 +130,7 @@ mod tests {
     fn fine_stripes_become_grey_instead_of_aliasing() {
         let image = Image::from_fn(3, 8, 64, |_, _, u| (u % 2) as f32);
         let small = resize_image(&image, 16, 2);
-        assert!(
-            small.data.iter().all(|x| (x - 0.5).abs() < 0.1),
-            "{small:?}"
-        );
+        assert!(small.data.iter().all(|x| (x - 0.5).abs() < 0.1), "{small:?}");
     }
 
     #[test]
@@ -181,10 +138,7 @@ mod tests {
         let map = Map::from_vec(2, 4, vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
         assert_eq!(resize_map_nearest(&map, 2, 1).data, vec![6.0, 8.0]);
         assert_eq!(resize_map_nearest(&map, 4, 2), map);
-        assert_eq!(
-            resize_map_nearest(&map, 8, 2).data[..8],
-            [1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0]
-        );
+        assert_eq!(resize_map_nearest(&map, 8, 2).data[..8], [1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0]);
     }
 
     proptest! {

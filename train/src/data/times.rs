@@ -18,12 +18,7 @@ fn parse_times(path: &Path, text: &str) -> Result<Vec<f64>, DataError> {
         let time = parse_number(path, line, content)?;
         if times.last().is_some_and(|&last| time <= last) {
             let reason = format!("not increasing ({time} after {})", times[times.len() - 1]);
-            return Err(DataError::at_line(
-                path,
-                line,
-                reason,
-                "times are seconds in the order of the frames",
-            ));
+            return Err(DataError::at_line(path, line, reason, "times are seconds in the order of the frames"));
         }
         times.push(time);
     }
@@ -38,20 +33,11 @@ mod tests {
     #[test]
     fn times_increase() {
         let times = |text: &str| parse_times(Path::new("times.txt"), text);
-        assert_eq!(
-            times("0\n1.036e-01\r\n\n0.2\n").unwrap(),
-            [0.0, 0.1036, 0.2]
-        );
+        assert_eq!(times("0\n1.036e-01\r\n\n0.2\n").unwrap(), [0.0, 0.1036, 0.2]);
         let message = times("0\n0.1\n0.05\n").unwrap_err().to_string();
-        assert!(
-            message.starts_with("times.txt:3: not increasing (0.05 after 0.1)"),
-            "{message}"
-        );
+        assert!(message.starts_with("times.txt:3: not increasing (0.05 after 0.1)"), "{message}");
         let message = times("0\n0.1 0.2\n").unwrap_err().to_string();
-        assert!(
-            message.starts_with("times.txt:2: \"0.1 0.2\" is not a number"),
-            "{message}"
-        );
+        assert!(message.starts_with("times.txt:2: \"0.1 0.2\" is not a number"), "{message}");
     }
 
     proptest! {

@@ -24,22 +24,11 @@ impl View {
     pub fn new(image: Image, intrinsics: Intrinsics, depth: Option<Map>) -> Self {
         let size = (image.width, image.height);
         let camera = (intrinsics.width, intrinsics.height);
-        assert_eq!(
-            size, camera,
-            "View::new: (width, height) of the image and of the intrinsics"
-        );
+        assert_eq!(size, camera, "View::new: (width, height) of the image and of the intrinsics");
         if let Some(map) = &depth {
-            assert_eq!(
-                size,
-                (map.width, map.height),
-                "View::new: (width, height) of the image and of the depth"
-            );
+            assert_eq!(size, (map.width, map.height), "View::new: (width, height) of the image and of the depth");
         }
-        Self {
-            image,
-            intrinsics,
-            depth,
-        }
+        Self { image, intrinsics, depth }
     }
 
     /// The view at a new size: colours antialiased, depth nearest (its metres do not change), intrinsics scaled.
@@ -50,10 +39,7 @@ impl View {
         Self {
             image: resize_image(&self.image, width, height),
             intrinsics: self.intrinsics.resized(width, height),
-            depth: self
-                .depth
-                .as_ref()
-                .map(|map| resize_map_nearest(map, width, height)),
+            depth: self.depth.as_ref().map(|map| resize_map_nearest(map, width, height)),
         }
     }
 
@@ -68,21 +54,13 @@ impl View {
             "View::crop: {width}x{height} at ({x0}, {y0}) of {old_width}x{old_height}"
         );
         let rows = |plane: &[f32]| -> Vec<f32> {
-            (y0..y0 + height)
-                .flat_map(|v| &plane[v * old_width + x0..][..width])
-                .copied()
-                .collect()
+            (y0..y0 + height).flat_map(|v| &plane[v * old_width + x0..][..width]).copied().collect()
         };
-        let data = (0..self.image.channels)
-            .flat_map(|c| rows(self.image.plane(c)))
-            .collect();
+        let data = (0..self.image.channels).flat_map(|c| rows(self.image.plane(c))).collect();
         Self {
             image: Image::from_vec(self.image.channels, height, width, data),
             intrinsics: self.intrinsics.cropped(x0, y0, width, height),
-            depth: self
-                .depth
-                .as_ref()
-                .map(|map| Map::from_vec(height, width, rows(&map.data))),
+            depth: self.depth.as_ref().map(|map| Map::from_vec(height, width, rows(&map.data))),
         }
     }
 
@@ -98,39 +76,23 @@ impl View {
     /// The mirror image: u becomes W - 1 - u, and so does the principal point.
     pub fn flip_horizontal(&self) -> Self {
         let flip = |data: &[f32], width: usize| -> Vec<f32> {
-            data.chunks_exact(width)
-                .flat_map(|row| row.iter().rev())
-                .copied()
-                .collect()
+            data.chunks_exact(width).flat_map(|row| row.iter().rev()).copied().collect()
         };
         let image = &self.image;
         let data = flip(&image.data, image.width);
         Self {
             image: Image::from_vec(image.channels, image.height, image.width, data),
             intrinsics: self.intrinsics.flipped_horizontal(),
-            depth: self
-                .depth
-                .as_ref()
-                .map(|map| Map::from_vec(map.height, map.width, flip(&map.data, map.width))),
+            depth: self.depth.as_ref().map(|map| Map::from_vec(map.height, map.width, flip(&map.data, map.width))),
         }
     }
 }
 
 /// (x0, y0, width, height) of the largest centred window of an image with the shape of another size.
 #[track_caller]
-fn center_window(
-    width: usize,
-    height: usize,
-    like_width: usize,
-    like_height: usize,
-) -> (usize, usize, usize, usize) {
-    assert!(
-        like_width > 0 && like_height > 0,
-        "center_crop_to_shape: shape {like_width}x{like_height}"
-    );
-    let part = |whole: usize, numerator: usize, denominator: usize| {
-        ((whole * numerator + denominator / 2) / denominator).max(1)
-    };
+fn center_window(width: usize, height: usize, like_width: usize, like_height: usize) -> (usize, usize, usize, usize) {
+    assert!(like_width > 0 && like_height > 0, "center_crop_to_shape: shape {like_width}x{like_height}");
+    let part = |whole: usize, numerator: usize, denominator: usize| ((whole * numerator + denominator / 2) / denominator).max(1);
     if width * like_height > height * like_width {
         let narrow = part(height, like_width, like_height).min(width);
         ((width - narrow) / 2, 0, narrow, height)
@@ -146,32 +108,17 @@ mod tests {
     use nalgebra::Vector3;
 
     fn view(width: usize, height: usize) -> View {
-        let camera = Intrinsics::new(
-            0.8 * width as f64,
-            0.9 * width as f64,
-            0.47 * width as f64,
-            0.55 * height as f64,
-            width,
-            height,
-        );
-        let image = Image::from_fn(3, height, width, |c, v, u| {
-            (c as f32 + u as f32 + 1000.0 * v as f32) * 1e-5
-        });
-        let depth = Map::from_vec(
-            height,
-            width,
-            (0..width * height).map(|i| i as f32).collect(),
-        );
+        let camera =
+            Intrinsics::new(0.8 * width as f64, 0.9 * width as f64, 0.47 * width as f64, 0.55 * height as f64, width, height);
+        let image = Image::from_fn(3, height, width, |c, v, u| (c as f32 + u as f32 + 1000.0 * v as f32) * 1e-5);
+        let depth = Map::from_vec(height, width, (0..width * height).map(|i| i as f32).collect());
         View::new(image, camera.unwrap(), Some(depth))
     }
 
     #[test]
     fn crop_moves_pixels_and_principal_point_together() {
         let (old, new) = (view(20, 10), view(20, 10).crop(3, 2, 11, 7));
-        assert_eq!(
-            (new.image.width, new.image.height, new.intrinsics.width),
-            (11, 7, 11)
-        );
+        assert_eq!((new.image.width, new.image.height, new.intrinsics.width), (11, 7, 11));
         assert_eq!(new.image.at(2, 4, 5), old.image.at(2, 6, 8));
         assert_eq!(new.depth.unwrap().at(4, 5), old.depth.unwrap().at(6, 8));
         assert_eq!(new.intrinsics.u0, old.intrinsics.u0 - 3.0);
@@ -181,10 +128,7 @@ mod tests {
     fn flip_mirrors_pixels_and_principal_point_and_twice_is_nothing() {
         let (old, new) = (view(21, 10), view(21, 10).flip_horizontal());
         assert_eq!(new.image.at(1, 4, 3), old.image.at(1, 4, 17));
-        assert_eq!(
-            new.depth.as_ref().unwrap().at(4, 3),
-            old.depth.as_ref().unwrap().at(4, 17)
-        );
+        assert_eq!(new.depth.as_ref().unwrap().at(4, 3), old.depth.as_ref().unwrap().at(4, 17));
         assert_eq!(new.intrinsics.u0, 20.0 - old.intrinsics.u0);
         let back = new.flip_horizontal();
         assert_eq!(back.image, old.image);
@@ -209,10 +153,7 @@ mod tests {
         assert!(near(colour(&old.resize(75, 61), point)));
         assert!(near(colour(&old.resize(201, 90), point)));
         assert!(near(colour(&old.crop(20, 10, 90, 60), point)));
-        assert!(near(colour(
-            &old.center_crop_to_shape(2, 2).resize(50, 50),
-            point
-        )));
+        assert!(near(colour(&old.center_crop_to_shape(2, 2).resize(50, 50), point)));
         assert!(near(colour(&old.flip_horizontal(), mirrored)));
     }
 

@@ -54,9 +54,7 @@ impl Arithmetic {
     /// Inverse of a pose that was accepted on reading.
     pub(crate) fn inverse(self, pose: &Matrix4<f64>) -> Matrix4<f64> {
         match self {
-            Self::Compat => pose
-                .try_inverse()
-                .expect("poses are checked for inversion on reading"),
+            Self::Compat => pose.try_inverse().expect("poses are checked for inversion on reading"),
             Self::Robust => matrix(&se3(pose).inverse()),
         }
     }
@@ -91,10 +89,7 @@ fn matrix(pose: &Se3) -> Matrix4<f64> {
 }
 
 fn se3(m: &Matrix4<f64>) -> Se3 {
-    Se3 {
-        rotation: m.fixed_view::<3, 3>(0, 0).into_owned(),
-        translation: position(m),
-    }
+    Se3 { rotation: m.fixed_view::<3, 3>(0, 0).into_owned(), translation: position(m) }
 }
 
 pub(crate) fn position(m: &Matrix4<f64>) -> Vector3<f64> {
@@ -150,14 +145,8 @@ pub fn align_trajectory(
 }
 
 fn trajectory(poses: &Poses) -> Trajectory {
-    let poses = poses.iter().map(|(&index, pose)| StampedPose {
-        index,
-        stamp: None,
-        world_from_camera: se3(pose),
-    });
-    Trajectory {
-        poses: poses.collect(),
-    }
+    let poses = poses.iter().map(|(&index, pose)| StampedPose { index, stamp: None, world_from_camera: se3(pose) });
+    Trajectory { poses: poses.collect() }
 }
 
 /// Re-anchors every pose of both sides at the first common frame, then aligns.
@@ -175,27 +164,15 @@ pub(crate) fn align_poses(
         _ => "none".to_owned(),
     };
     let names = (span(&all), span(&truth));
-    let common: Poses = all
-        .into_iter()
-        .filter(|(index, _)| truth.contains_key(index))
-        .collect();
+    let common: Poses = all.into_iter().filter(|(index, _)| truth.contains_key(index)).collect();
     let Some((&first, p0)) = common.first_key_value() else {
-        return Err(EvalError::NoCommonFrame {
-            predicted: names.0,
-            truth: names.1,
-        });
+        return Err(EvalError::NoCommonFrame { predicted: names.0, truth: names.1 });
     };
     if common.len() < 2 {
-        return Err(EvalError::TooFew {
-            what: "common frames of predicted and true trajectory",
-            needed: 2,
-            found: common.len(),
-        });
+        return Err(EvalError::TooFew { what: "common frames of predicted and true trajectory", needed: 2, found: common.len() });
     }
     let (from_p, from_g) = (arithmetic.inverse(p0), arithmetic.inverse(&truth[&first]));
-    let anchored = |poses: &Poses, from: &Matrix4<f64>| -> Poses {
-        poses.iter().map(|(i, pose)| (*i, from * pose)).collect()
-    };
+    let anchored = |poses: &Poses, from: &Matrix4<f64>| -> Poses { poses.iter().map(|(i, pose)| (*i, from * pose)).collect() };
     let mut aligned = Aligned {
         truth: anchored(&truth, &from_g),
         prediction: anchored(&common, &from_p),
@@ -212,11 +189,7 @@ fn read(which: &'static str, t: &Trajectory, arithmetic: Arithmetic) -> Result<P
     let mut poses = Poses::new();
     for pose in &t.poses {
         let index = pose.index;
-        let bad = |reason| EvalError::BadPose {
-            which,
-            index,
-            reason,
-        };
+        let bad = |reason| EvalError::BadPose { which, index, reason };
         let mut m = matrix(&pose.world_from_camera);
         if !m.iter().all(|x| x.is_finite()) {
             return Err(bad("is not finite"));
@@ -240,11 +213,7 @@ fn fit(aligned: &mut Aligned, alignment: Alignment) -> Result<(), EvalError> {
         return Ok(());
     }
     let x: Vec<_> = aligned.prediction.values().map(position).collect();
-    let y: Vec<_> = aligned
-        .prediction
-        .keys()
-        .map(|index| position(&aligned.truth[index]))
-        .collect();
+    let y: Vec<_> = aligned.prediction.keys().map(|index| position(&aligned.truth[index])).collect();
     let mut motion = Matrix4::identity();
     if alignment == Alignment::Scale {
         aligned.scale = scale_through_origin(&x, &y)?;
@@ -271,9 +240,7 @@ fn scale_through_origin(x: &[Vector3<f64>], y: &[Vector3<f64>]) -> Result<f64, E
     if xx > 0.0 {
         return Ok(xy / xx);
     }
-    Err(EvalError::Degenerate {
-        reason: "the predicted positions do not move".to_owned(),
-    })
+    Err(EvalError::Degenerate { reason: "the predicted positions do not move".to_owned() })
 }
 
 struct Similarity {
@@ -282,21 +249,10 @@ struct Similarity {
     rotation_ambiguous: bool,
 }
 
-fn similarity(
-    x: &[Vector3<f64>],
-    y: &[Vector3<f64>],
-    with_scale: bool,
-) -> Result<Similarity, EvalError> {
-    let found = if with_scale {
-        umeyama::similarity(x, y)?
-    } else {
-        umeyama::rigid(x, y)?
-    };
+fn similarity(x: &[Vector3<f64>], y: &[Vector3<f64>], with_scale: bool) -> Result<Similarity, EvalError> {
+    let found = if with_scale { umeyama::similarity(x, y)? } else { umeyama::rigid(x, y)? };
     Ok(Similarity {
-        motion: matrix(&Se3 {
-            rotation: found.rotation,
-            translation: found.translation,
-        }),
+        motion: matrix(&Se3 { rotation: found.rotation, translation: found.translation }),
         scale: found.scale,
         rotation_ambiguous: found.rotation_ambiguous,
     })

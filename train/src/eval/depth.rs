@@ -32,33 +32,16 @@ pub struct DepthScores {
 
 impl DepthScores {
     /// Names in the order of [`DepthScores::values`]; also the keys in JSON.
-    pub const NAMES: [&'static str; 7] =
-        ["abs_rel", "sq_rel", "rmse", "rmse_log", "a1", "a2", "a3"];
+    pub const NAMES: [&'static str; 7] = ["abs_rel", "sq_rel", "rmse", "rmse_log", "a1", "a2", "a3"];
 
     /// The seven numbers in the order of [`DepthScores::NAMES`].
     pub fn values(&self) -> [f64; 7] {
-        [
-            self.abs_rel,
-            self.sq_rel,
-            self.rmse,
-            self.rmse_log,
-            self.a1,
-            self.a2,
-            self.a3,
-        ]
+        [self.abs_rel, self.sq_rel, self.rmse, self.rmse_log, self.a1, self.a2, self.a3]
     }
 
     fn from_values(v: [f64; 7]) -> Self {
         let [abs_rel, sq_rel, rmse, rmse_log, a1, a2, a3] = v;
-        Self {
-            abs_rel,
-            sq_rel,
-            rmse,
-            rmse_log,
-            a1,
-            a2,
-            a3,
-        }
+        Self { abs_rel, sq_rel, rmse, rmse_log, a1, a2, a3 }
     }
 
     /// Compares depths in metres pixel by pixel. Both slices have the same non-zero length and hold positive values.
@@ -128,20 +111,11 @@ impl DepthEvaluator {
     /// **Errors** when the bounds of the protocol make no sense.
     pub fn new(protocol: DepthProtocol) -> Result<Self, EvalError> {
         protocol.check()?;
-        Ok(Self {
-            protocol,
-            images: Vec::new(),
-            skipped: 0,
-        })
+        Ok(Self { protocol, images: Vec::new(), skipped: 0 })
     }
 
     /// Compares one image; `None` when it has no valid pixel. Arguments and errors as [`evaluate_depth_image`].
-    pub fn add(
-        &mut self,
-        prediction: &Map,
-        truth: &Map,
-        mask: Option<&[bool]>,
-    ) -> Result<Option<DepthImage>, EvalError> {
+    pub fn add(&mut self, prediction: &Map, truth: &Map, mask: Option<&[bool]>) -> Result<Option<DepthImage>, EvalError> {
         let image = evaluate_depth_image(&self.protocol, prediction, truth, mask)?;
         match image {
             Some(image) => self.images.push(image),
@@ -153,9 +127,7 @@ impl DepthEvaluator {
     /// The means. **Errors** when no image had a valid pixel.
     pub fn finish(self) -> Result<DepthSummary, EvalError> {
         if self.images.is_empty() {
-            return Err(EvalError::NoValidPixels {
-                images: self.skipped,
-            });
+            return Err(EvalError::NoValidPixels { images: self.skipped });
         }
         let count = self.images.len() as f64;
         let mut mean = [0.0f64; 7];
@@ -204,20 +176,9 @@ pub fn evaluate_depth_image(
     if protocol.clamp {
         below_min = p.iter().filter(|p| **p < protocol.min_depth).count();
         above_max = p.iter().filter(|p| **p > protocol.max_depth).count();
-        p.iter_mut().for_each(|p| {
-            *p = p.clamp(
-                protocol.min_depth.max(f64::MIN_POSITIVE),
-                protocol.max_depth,
-            )
-        });
+        p.iter_mut().for_each(|p| *p = p.clamp(protocol.min_depth.max(f64::MIN_POSITIVE), protocol.max_depth));
     }
-    Ok(Some(DepthImage {
-        scores: DepthScores::compare(&g, &p),
-        valid_pixels: g.len(),
-        scale,
-        below_min,
-        above_max,
-    }))
+    Ok(Some(DepthImage { scores: DepthScores::compare(&g, &p), valid_pixels: g.len(), scale, below_min, above_max }))
 }
 
 /// True and predicted depths of the pixels that count.
@@ -236,11 +197,7 @@ fn valid_pairs(
         });
     }
     if let Some(mask) = mask.filter(|mask| mask.len() != truth.data.len()) {
-        return Err(EvalError::CountMismatch {
-            what: "mask pixels",
-            prediction: mask.len(),
-            truth: truth.data.len(),
-        });
+        return Err(EvalError::CountMismatch { what: "mask pixels", prediction: mask.len(), truth: truth.data.len() });
     }
     finite("predicted depth", prediction)?;
     finite("true depth", truth)?;
@@ -255,13 +212,7 @@ fn valid_pairs(
                 continue;
             }
             if value <= 0.0 {
-                return Err(bad_pixel(
-                    "predicted depth",
-                    row,
-                    column,
-                    value,
-                    "must be positive",
-                ));
+                return Err(bad_pixel("predicted depth", row, column, value, "must be positive"));
             }
             g.push(f64::from(true_depth));
             p.push(f64::from(value));
@@ -270,32 +221,14 @@ fn valid_pairs(
     Ok((g, p))
 }
 
-fn bad_pixel(
-    what: &'static str,
-    row: usize,
-    column: usize,
-    value: f32,
-    requirement: &'static str,
-) -> EvalError {
-    EvalError::BadPixel {
-        what,
-        row,
-        column,
-        value,
-        requirement,
-    }
+fn bad_pixel(what: &'static str, row: usize, column: usize, value: f32, requirement: &'static str) -> EvalError {
+    EvalError::BadPixel { what, row, column, value, requirement }
 }
 
 fn finite(what: &'static str, map: &Map) -> Result<(), EvalError> {
     match map.data.iter().position(|value| !value.is_finite()) {
         None => Ok(()),
-        Some(i) => Err(bad_pixel(
-            what,
-            i / map.width,
-            i % map.width,
-            map.data[i],
-            "must be finite",
-        )),
+        Some(i) => Err(bad_pixel(what, i / map.width, i % map.width, map.data[i], "must be finite")),
     }
 }
 

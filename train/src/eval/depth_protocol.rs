@@ -34,12 +34,9 @@ impl Crop {
         let part = |fraction: f64, size: usize| (fraction * size as f64) as usize;
         match self {
             Self::None => [0, height, 0, width],
-            Self::Garg => [
-                part(0.408_108_11, height),
-                part(0.991_891_89, height),
-                part(0.035_947_71, width),
-                part(0.964_052_29, width),
-            ],
+            Self::Garg => {
+                [part(0.408_108_11, height), part(0.991_891_89, height), part(0.035_947_71, width), part(0.964_052_29, width)]
+            }
         }
     }
 }
@@ -63,23 +60,14 @@ pub struct DepthProtocol {
 impl Default for DepthProtocol {
     /// 1e-3 to 80 m, median scaling, whole image, clamped.
     fn default() -> Self {
-        Self {
-            min_depth: 1e-3,
-            max_depth: 80.0,
-            scaling: DepthScaling::Median,
-            crop: Crop::None,
-            clamp: true,
-        }
+        Self { min_depth: 1e-3, max_depth: 80.0, scaling: DepthScaling::Median, crop: Crop::None, clamp: true }
     }
 }
 
 impl DepthProtocol {
     /// The usual KITTI Eigen setting: the default with the Garg crop.
     pub fn kitti_eigen() -> Self {
-        Self {
-            crop: Crop::Garg,
-            ..Self::default()
-        }
+        Self { crop: Crop::Garg, ..Self::default() }
     }
 
     /// One line that says how the numbers were made.
@@ -94,10 +82,7 @@ impl DepthProtocol {
             Crop::Garg => "Garg crop",
         };
         let clamp = if self.clamp { "clamped" } else { "not clamped" };
-        format!(
-            "{scaling}, {} to {} m, {clamp}, {crop}",
-            self.min_depth, self.max_depth
-        )
+        format!("{scaling}, {} to {} m, {clamp}, {crop}", self.min_depth, self.max_depth)
     }
 
     /// **Errors** when the bounds make no sense.

@@ -48,19 +48,12 @@ impl DepthTableBuilder {
     /// A table with one trained row called `name` and the given trivial rows.
     ///
     /// **Errors** when the protocol makes no sense.
-    pub fn new(
-        name: impl Into<String>,
-        protocol: DepthProtocol,
-        trivial: Vec<TrivialDepth>,
-    ) -> Result<Self, EvalError> {
+    pub fn new(name: impl Into<String>, protocol: DepthProtocol, trivial: Vec<TrivialDepth>) -> Result<Self, EvalError> {
         let evaluator = DepthEvaluator::new(protocol)?;
         Ok(Self {
             protocol,
             ours: (name.into(), evaluator.clone()),
-            trivial: trivial
-                .into_iter()
-                .map(|t| (t, evaluator.clone()))
-                .collect(),
+            trivial: trivial.into_iter().map(|t| (t, evaluator.clone())).collect(),
         })
     }
 
@@ -68,12 +61,7 @@ impl DepthTableBuilder {
     /// optionally a mask at the size of the truth.
     ///
     /// **Errors** as [`super::depth::evaluate_depth_image`].
-    pub fn add(
-        &mut self,
-        prediction: &Map,
-        truth: &Map,
-        mask: Option<&[bool]>,
-    ) -> Result<(), EvalError> {
+    pub fn add(&mut self, prediction: &Map, truth: &Map, mask: Option<&[bool]>) -> Result<(), EvalError> {
         let resized = resize_depth(prediction, truth.height, truth.width)?;
         self.ours.1.add(&resized, truth, mask)?;
         for (trivial, evaluator) in &mut self.trivial {
@@ -84,17 +72,9 @@ impl DepthTableBuilder {
 
     /// The table. **Errors** when no frame had a valid pixel.
     pub fn finish(self) -> Result<DepthTable, EvalError> {
-        let mut rows = vec![DepthRow {
-            name: self.ours.0,
-            kind: RowKind::Trained,
-            summary: self.ours.1.finish()?,
-        }];
+        let mut rows = vec![DepthRow { name: self.ours.0, kind: RowKind::Trained, summary: self.ours.1.finish()? }];
         for (trivial, evaluator) in self.trivial {
-            rows.push(DepthRow {
-                name: trivial.name().to_owned(),
-                kind: RowKind::Trivial,
-                summary: evaluator.finish()?,
-            });
+            rows.push(DepthRow { name: trivial.name().to_owned(), kind: RowKind::Trivial, summary: evaluator.finish()? });
         }
         Ok(DepthTable {
             protocol: self.protocol,
@@ -108,9 +88,7 @@ impl DepthTableBuilder {
 
 fn ratios(rows: &[DepthRow]) -> Vec<Ratio> {
     let of = |metric: &'static str, get: fn(&DepthSummary) -> f64| {
-        let values = rows
-            .iter()
-            .map(|row| (row.name.as_str(), row.kind, Some(get(&row.summary))));
+        let values = rows.iter().map(|row| (row.name.as_str(), row.kind, Some(get(&row.summary))));
         Ratio::of(metric, values)
     };
     [
@@ -130,33 +108,18 @@ mod tests {
 
     #[test]
     fn rows_see_the_same_frames_and_the_best_trivial_row_is_named() {
-        let map = |data: &[f32]| Map {
-            height: 1,
-            width: 3,
-            data: data.to_vec(),
-        };
-        let trivial = vec![
-            TrivialDepth::Constant(1.0),
-            TrivialDepth::MeanDisparity(map(&[1.0, 0.5, 0.4])),
-        ];
-        let mut builder =
-            DepthTableBuilder::new("dimode", DepthProtocol::default(), trivial).unwrap();
-        builder
-            .add(&map(&[1.0, 2.0, 3.6]), &map(&[1.0, 2.0, 4.0]), None)
-            .unwrap();
-        builder
-            .add(&map(&[1.0, 2.0, 4.0]), &map(&[0.0, 0.0, 0.0]), None)
-            .unwrap();
+        let map = |data: &[f32]| Map { height: 1, width: 3, data: data.to_vec() };
+        let trivial = vec![TrivialDepth::Constant(1.0), TrivialDepth::MeanDisparity(map(&[1.0, 0.5, 0.4]))];
+        let mut builder = DepthTableBuilder::new("dimode", DepthProtocol::default(), trivial).unwrap();
+        builder.add(&map(&[1.0, 2.0, 3.6]), &map(&[1.0, 2.0, 4.0]), None).unwrap();
+        builder.add(&map(&[1.0, 2.0, 4.0]), &map(&[0.0, 0.0, 0.0]), None).unwrap();
         let table = builder.finish().unwrap();
         assert_eq!((table.frames, table.skipped, table.rows.len()), (1, 1, 3));
         assert!((table.rows[0].summary.scores.abs_rel - 0.1 / 3.0).abs() < 1e-7);
         assert!((table.rows[1].summary.scores.abs_rel - 0.5).abs() < 1e-7);
         assert!((table.rows[2].summary.scores.abs_rel - 0.125).abs() < 1e-7);
         let ratio = &table.ratios[0];
-        assert_eq!(
-            (ratio.metric, ratio.best_row.as_str()),
-            ("abs_rel", "mean disparity map")
-        );
+        assert_eq!((ratio.metric, ratio.best_row.as_str()), ("abs_rel", "mean disparity map"));
         assert!((ratio.ratio - 0.1 / 3.0 / 0.125).abs() < 1e-6);
     }
 }

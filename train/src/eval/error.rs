@@ -20,9 +20,7 @@ pub enum EvalError {
         truth: (usize, usize),
     },
     /// Two lists that belong together differ in length.
-    #[error(
-        "{what}: {prediction} predicted, but {truth} in the ground truth; both must describe the same frames"
-    )]
+    #[error("{what}: {prediction} predicted, but {truth} in the ground truth; both must describe the same frames")]
     CountMismatch {
         /// What is counted.
         what: &'static str,
@@ -46,9 +44,7 @@ pub enum EvalError {
         requirement: &'static str,
     },
     /// No image of the whole evaluation had a pixel to compare.
-    #[error(
-        "none of the {images} images has a valid ground-truth pixel; check the depth bounds, the crop and the ground truth"
-    )]
+    #[error("none of the {images} images has a valid ground-truth pixel; check the depth bounds, the crop and the ground truth")]
     NoValidPixels {
         /// How many images were looked at.
         images: usize,
@@ -84,9 +80,7 @@ pub enum EvalError {
         reason: &'static str,
     },
     /// Predicted and true trajectory share no frame.
-    #[error(
-        "the predicted frames ({predicted}) and the true frames ({truth}) have nothing in common; check the frame indices"
-    )]
+    #[error("the predicted frames ({predicted}) and the true frames ({truth}) have nothing in common; check the frame indices")]
     NoCommonFrame {
         /// First and last predicted index.
         predicted: String,

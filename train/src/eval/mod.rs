@@ -69,10 +69,7 @@ pub struct Ratio {
 
 impl Ratio {
     /// `None` when either side has no value, or the best trivial value is zero.
-    fn of<'a>(
-        metric: &'static str,
-        rows: impl Iterator<Item = (&'a str, RowKind, Option<f64>)>,
-    ) -> Option<Self> {
+    fn of<'a>(metric: &'static str, rows: impl Iterator<Item = (&'a str, RowKind, Option<f64>)>) -> Option<Self> {
         let (mut trained, mut best) = (None, None::<(&str, f64)>);
         for (name, kind, value) in rows {
             match (kind, value) {
@@ -126,10 +123,7 @@ impl Evaluation {
     pub fn ratio(&self, metric: &str) -> Option<f64> {
         let depth = self.depth.iter().flat_map(|t| &t.ratios);
         let motion = self.motion.iter().flat_map(|t| &t.ratios);
-        depth
-            .chain(motion)
-            .find(|r| r.metric == metric)
-            .map(|r| r.ratio)
+        depth.chain(motion).find(|r| r.metric == metric).map(|r| r.ratio)
     }
 }
 

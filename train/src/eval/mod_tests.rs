@@ -7,35 +7,19 @@ use super::*;
 use crate::data::Map;
 
 fn example() -> Evaluation {
-    let map = |f: fn(usize) -> f32| Map {
-        height: 4,
-        width: 6,
-        data: (0..24).map(f).collect(),
-    };
+    let map = |f: fn(usize) -> f32| Map { height: 4, width: 6, data: (0..24).map(f).collect() };
     let truth = map(|i| 2.0 + i as f32);
-    let mut depth = DepthTableBuilder::new(
-        "dimode",
-        DepthProtocol::default(),
-        vec![TrivialDepth::Constant(1.0)],
-    )
-    .unwrap();
-    depth
-        .add(&map(|i| 1.0 + 0.52 * i as f32), &truth, None)
-        .unwrap();
+    let mut depth = DepthTableBuilder::new("dimode", DepthProtocol::default(), vec![TrivialDepth::Constant(1.0)]).unwrap();
+    depth.add(&map(|i| 1.0 + 0.52 * i as f32), &truth, None).unwrap();
     let steps: Vec<Se3> = (0..50)
         .map(|i| {
             let turn = Vector3::new(0.0, 0.05 * (0.2 * f64::from(i)).sin(), 0.0);
             Se3::from_rotation_vector(&turn, Vector3::new(0.1, 0.0, -0.5))
         })
         .collect();
-    let mut motion = MotionTableBuilder::new(
-        "dimode",
-        OdometryProtocol::small_world(),
-        Some(MeanMotion::fit(&steps[..20]).unwrap()),
-    );
-    motion
-        .add_sequence("a", &steps, &Trajectory::accumulate(&steps))
-        .unwrap();
+    let mut motion =
+        MotionTableBuilder::new("dimode", OdometryProtocol::small_world(), Some(MeanMotion::fit(&steps[..20]).unwrap()));
+    motion.add_sequence("a", &steps, &Trajectory::accumulate(&steps)).unwrap();
     Evaluation {
         title: "example".into(),
         data: "held-out street worlds".into(),
@@ -63,21 +47,14 @@ fn the_text_table_says_how_numbers_were_made() {
     ] {
         assert!(text.contains(part), "{part} missing in\n{text}");
     }
-    assert!(
-        text.lines().all(|line| line.chars().count() <= 140),
-        "{text}"
-    );
+    assert!(text.lines().all(|line| line.chars().count() <= 140), "{text}");
 }
 
 #[test]
 fn json_keys_are_stable() {
     let json = serde_json::to_value(example()).unwrap();
     let row = &json["depth"]["rows"][0];
-    for key in
-        DepthScores::NAMES
-            .into_iter()
-            .chain(["scale_spread", "images", "skipped", "per_image"])
-    {
+    for key in DepthScores::NAMES.into_iter().chain(["scale_spread", "images", "skipped", "per_image"]) {
         assert!(!row[key].is_null(), "{key}");
     }
     assert_eq!(row["kind"], "trained");
@@ -90,12 +67,7 @@ fn json_keys_are_stable() {
 
 #[test]
 fn without_truth_the_table_says_so() {
-    let empty = Evaluation {
-        title: "x".into(),
-        data: "my frames".into(),
-        depth: None,
-        motion: None,
-    };
+    let empty = Evaluation { title: "x".into(), data: "my frames".into(), depth: None, motion: None };
     assert!(empty.render_table().contains("my frames: no ground truth"));
     assert_eq!(empty.ratio("abs_rel"), None);
     assert!(example().ratio("abs_rel").unwrap() < 0.1);
@@ -103,16 +75,9 @@ fn without_truth_the_table_says_so() {
 
 #[test]
 fn the_ratio_needs_both_sides() {
-    let rows = [
-        ("a", RowKind::Trained, Some(1.0)),
-        ("b", RowKind::Trivial, None),
-    ];
+    let rows = [("a", RowKind::Trained, Some(1.0)), ("b", RowKind::Trivial, None)];
     assert_eq!(Ratio::of("m", rows.into_iter()), None);
-    let rows = [
-        ("a", RowKind::Trained, Some(1.0)),
-        ("b", RowKind::Trivial, Some(4.0)),
-        ("c", RowKind::Trivial, Some(2.0)),
-    ];
+    let rows = [("a", RowKind::Trained, Some(1.0)), ("b", RowKind::Trivial, Some(4.0)), ("c", RowKind::Trivial, Some(2.0))];
     let got = Ratio::of("m", rows.into_iter()).unwrap();
     assert_eq!((got.best_row.as_str(), got.ratio), ("c", 0.5));
 }

@@ -45,30 +45,17 @@ pub struct MotionErrors {
 /// **Errors** for different counts, no pair at all, and values that are not finite.
 pub fn motion_errors(predicted: &[Se3], truth: &[Se3]) -> Result<MotionErrors, EvalError> {
     if predicted.len() != truth.len() {
-        return Err(EvalError::CountMismatch {
-            what: "frame-to-frame motions",
-            prediction: predicted.len(),
-            truth: truth.len(),
-        });
+        return Err(EvalError::CountMismatch { what: "frame-to-frame motions", prediction: predicted.len(), truth: truth.len() });
     }
     if truth.is_empty() {
-        return Err(EvalError::TooFew {
-            what: "frame-to-frame motions",
-            needed: 1,
-            found: 0,
-        });
+        return Err(EvalError::TooFew { what: "frame-to-frame motions", needed: 1, found: 0 });
     }
-    let mut errors = MotionErrors {
-        pairs: truth.len(),
-        ..MotionErrors::default()
-    };
+    let mut errors = MotionErrors { pairs: truth.len(), ..MotionErrors::default() };
     for (index, (p, g)) in predicted.iter().zip(truth).enumerate() {
         check("predicted motion", index, p)?;
         check("true motion", index, g)?;
         let rotation = p.rotation.transpose() * g.rotation;
-        errors
-            .rotation_deg
-            .push(robust_angle(&rotation).to_degrees());
+        errors.rotation_deg.push(robust_angle(&rotation).to_degrees());
         let direction = direction_error(p, g, &mut errors);
         errors.direction_deg.push(direction);
     }
@@ -81,11 +68,7 @@ fn check(which: &'static str, index: usize, motion: &Se3) -> Result<(), EvalErro
     if numbers.clone().all(|x| x.is_finite()) {
         return Ok(());
     }
-    Err(EvalError::BadPose {
-        which,
-        index,
-        reason: "is not finite",
-    })
+    Err(EvalError::BadPose { which, index, reason: "is not finite" })
 }
 
 fn direction_error(p: &Se3, g: &Se3, errors: &mut MotionErrors) -> Option<f64> {
@@ -158,14 +141,8 @@ mod tests {
 
     #[test]
     fn known_angles() {
-        let truth = [
-            motion([0.0; 3], [0.0, 0.0, 2.0]),
-            motion([0.0, 0.1, 0.0], [1.0, 0.0, 0.0]),
-        ];
-        let predicted = [
-            motion([0.0, 0.02, 0.0], [0.0, 3.0, 3.0]),
-            motion([0.0, 0.1, 0.0], [9.0, 0.0, 0.0]),
-        ];
+        let truth = [motion([0.0; 3], [0.0, 0.0, 2.0]), motion([0.0, 0.1, 0.0], [1.0, 0.0, 0.0])];
+        let predicted = [motion([0.0, 0.02, 0.0], [0.0, 3.0, 3.0]), motion([0.0, 0.1, 0.0], [9.0, 0.0, 0.0])];
         let got = motion_errors(&predicted, &truth).unwrap();
         assert!((got.rotation_deg[0] - 0.02f64.to_degrees()).abs() < 1e-12);
         assert!(got.rotation_deg[1] < 1e-12);
@@ -176,20 +153,13 @@ mod tests {
 
     #[test]
     fn opposite_directions_are_180_degrees_apart() {
-        let got = motion_errors(
-            &[motion([0.0; 3], [0.0, 0.0, -1.0])],
-            &[motion([0.0; 3], [0.0, 0.0, 5.0])],
-        );
+        let got = motion_errors(&[motion([0.0; 3], [0.0, 0.0, -1.0])], &[motion([0.0; 3], [0.0, 0.0, 5.0])]);
         assert!((got.unwrap().direction_mean_deg.unwrap() - 180.0).abs() < 1e-12);
     }
 
     #[test]
     fn standing_still_and_zero_predictions_are_counted() {
-        let truth = [
-            motion([0.0; 3], [0.0; 3]),
-            motion([0.0; 3], [1.0, 0.0, 0.0]),
-            motion([0.0; 3], [1.0, 0.0, 0.0]),
-        ];
+        let truth = [motion([0.0; 3], [0.0; 3]), motion([0.0; 3], [1.0, 0.0, 0.0]), motion([0.0; 3], [1.0, 0.0, 0.0])];
         let predicted = [truth[1], motion([0.0; 3], [0.0; 3]), truth[1]];
         let got = motion_errors(&predicted, &truth).unwrap();
         assert_eq!((got.direction_skipped, got.direction_undefined), (1, 1));
@@ -209,26 +179,14 @@ mod tests {
     fn errors_are_clear() {
         assert!(motion_errors(&[], &[]).is_err());
         let one = [Se3::identity()];
-        assert!(
-            motion_errors(&one, &[])
-                .unwrap_err()
-                .to_string()
-                .contains("1 predicted, but 0")
-        );
+        assert!(motion_errors(&one, &[]).unwrap_err().to_string().contains("1 predicted, but 0"));
         let bad = motion([0.0; 3], [f64::NAN, 0.0, 0.0]);
-        assert!(
-            motion_errors(&[bad], &one)
-                .unwrap_err()
-                .to_string()
-                .contains("frame 0 is not finite")
-        );
+        assert!(motion_errors(&[bad], &one).unwrap_err().to_string().contains("frame 0 is not finite"));
     }
 
     #[test]
     fn steps_and_accumulation_invert_each_other() {
-        let steps: Vec<Se3> = (0..9)
-            .map(|i| motion([0.01 * f64::from(i), -0.2, 0.03], [0.1, 0.2, f64::from(i)]))
-            .collect();
+        let steps: Vec<Se3> = (0..9).map(|i| motion([0.01 * f64::from(i), -0.2, 0.03], [0.1, 0.2, f64::from(i)])).collect();
         let mut truth = Trajectory::accumulate(&steps);
         truth.poses.iter_mut().for_each(|pose| pose.index += 4);
         let trajectory = follow(&steps, &truth).unwrap();

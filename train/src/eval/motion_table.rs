@@ -51,14 +51,10 @@ pub struct OdometrySummary {
 impl OdometrySummary {
     fn summarise(&mut self) {
         let all = &self.per_sequence;
-        let average = |get: fn(&OdometryErrors) -> Option<f64>| {
-            mean(all.iter().filter_map(|s| get(&s.errors)))
-        };
+        let average = |get: fn(&OdometryErrors) -> Option<f64>| mean(all.iter().filter_map(|s| get(&s.errors)));
         let segments: usize = all.iter().map(|s| s.errors.segments).sum();
         let pooled = |get: fn(&OdometryErrors) -> Option<f64>| {
-            let parts = all
-                .iter()
-                .filter_map(|s| Some(get(&s.errors)? * s.errors.segments as f64));
+            let parts = all.iter().filter_map(|s| Some(get(&s.errors)? * s.errors.segments as f64));
             (segments > 0).then(|| parts.sum::<f64>() / segments as f64)
         };
         self.e_t_percent = average(|e| e.e_t_percent);
@@ -127,31 +123,15 @@ pub struct MotionTableBuilder {
 impl MotionTableBuilder {
     /// A table with one trained row called `name`, a row that never moves, and, when the training motions are known, a row
     /// of their mean.
-    pub fn new(
-        name: impl Into<String>,
-        protocol: OdometryProtocol,
-        mean_motion: Option<MeanMotion>,
-    ) -> Self {
-        let row = |name: String, predictor| RowBuilder {
-            name,
-            predictor,
-            predicted: Vec::new(),
-            odometry: OdometrySummary::default(),
-        };
-        let mut rows = vec![
-            row(name.into(), Predictor::Given),
-            row("zero motion".into(), Predictor::Always(Se3::identity())),
-        ];
+    pub fn new(name: impl Into<String>, protocol: OdometryProtocol, mean_motion: Option<MeanMotion>) -> Self {
+        let row =
+            |name: String, predictor| RowBuilder { name, predictor, predicted: Vec::new(), odometry: OdometrySummary::default() };
+        let mut rows = vec![row(name.into(), Predictor::Given), row("zero motion".into(), Predictor::Always(Se3::identity()))];
         if let Some(mean) = mean_motion {
             let always = Predictor::Always(mean.motion());
             rows.push(row("mean training motion".into(), always));
         }
-        Self {
-            protocol,
-            truth: Vec::new(),
-            sequences: 0,
-            rows,
-        }
+        Self { protocol, truth: Vec::new(), sequences: 0, rows }
     }
 
     /// Adds one sequence: `steps[k]` is the predicted `source_from_target` with true pose k as target and k + 1 as source;
@@ -159,12 +139,7 @@ impl MotionTableBuilder {
     ///
     /// **Errors** when the counts do not fit or a value is not finite. A trajectory that cannot be aligned (a row that
     /// stands still) is noted in the row instead.
-    pub fn add_sequence(
-        &mut self,
-        sequence: &str,
-        steps: &[Se3],
-        truth: &Trajectory,
-    ) -> Result<(), EvalError> {
+    pub fn add_sequence(&mut self, sequence: &str, steps: &[Se3], truth: &Trajectory) -> Result<(), EvalError> {
         let true_steps = steps_of(truth);
         motion_errors(steps, &true_steps)?;
         for row in &mut self.rows {
@@ -176,14 +151,9 @@ impl MotionTableBuilder {
             row.predicted.extend(predicted);
             let sequence = sequence.to_owned();
             match evaluate_odometry(&trajectory, truth, &self.protocol) {
-                Ok(errors) => row
-                    .odometry
-                    .per_sequence
-                    .push(SequenceErrors { sequence, errors }),
+                Ok(errors) => row.odometry.per_sequence.push(SequenceErrors { sequence, errors }),
                 Err(EvalError::Degenerate { reason }) => {
-                    row.odometry
-                        .unavailable
-                        .push(Unavailable { sequence, reason });
+                    row.odometry.unavailable.push(Unavailable { sequence, reason });
                 }
                 Err(other) => return Err(other),
             }
@@ -221,25 +191,13 @@ impl MotionTableBuilder {
 
 fn ratios(rows: &[MotionRow]) -> Vec<Ratio> {
     let of = |metric: &'static str, get: fn(&MotionRow) -> Option<f64>| {
-        Ratio::of(
-            metric,
-            rows.iter()
-                .map(|row| (row.name.as_str(), row.kind, get(row))),
-        )
+        Ratio::of(metric, rows.iter().map(|row| (row.name.as_str(), row.kind, get(row))))
     };
     [
-        of("rotation_mean_deg", |r| {
-            Some(r.frame_to_frame.rotation_mean_deg)
-        }),
-        of("rotation_median_deg", |r| {
-            Some(r.frame_to_frame.rotation_median_deg)
-        }),
-        of("direction_mean_deg", |r| {
-            r.frame_to_frame.direction_mean_deg
-        }),
-        of("direction_median_deg", |r| {
-            r.frame_to_frame.direction_median_deg
-        }),
+        of("rotation_mean_deg", |r| Some(r.frame_to_frame.rotation_mean_deg)),
+        of("rotation_median_deg", |r| Some(r.frame_to_frame.rotation_median_deg)),
+        of("direction_mean_deg", |r| r.frame_to_frame.direction_mean_deg),
+        of("direction_median_deg", |r| r.frame_to_frame.direction_median_deg),
         of("e_t_percent", |r| r.odometry.e_t_percent),
         of("e_r_deg_per_100m", |r| r.odometry.e_r_deg_per_100m),
         of("ate_m", |r| r.odometry.ate_m),
@@ -267,11 +225,8 @@ mod tests {
     fn table(predicted: &[Se3]) -> MotionTable {
         let truth = drive(60, 0.1);
         let mean = MeanMotion::fit(&truth).unwrap();
-        let mut builder =
-            MotionTableBuilder::new("dimode", OdometryProtocol::small_world(), Some(mean));
-        builder
-            .add_sequence("one", predicted, &Trajectory::accumulate(&truth))
-            .unwrap();
+        let mut builder = MotionTableBuilder::new("dimode", OdometryProtocol::small_world(), Some(mean));
+        builder.add_sequence("one", predicted, &Trajectory::accumulate(&truth)).unwrap();
         builder.finish().unwrap()
     }
 
@@ -294,10 +249,7 @@ mod tests {
         assert_eq!(zero.frame_to_frame.direction_mean_deg, None);
         assert_eq!(zero.odometry.ate_m, None);
         assert_eq!(zero.odometry.unavailable.len(), 1);
-        let mean_turn = (0..60)
-            .map(|i| (0.1 * (0.3 * f64::from(i)).sin()).abs())
-            .sum::<f64>()
-            / 60.0;
+        let mean_turn = (0..60).map(|i| (0.1 * (0.3 * f64::from(i)).sin()).abs()).sum::<f64>() / 60.0;
         assert!((zero.frame_to_frame.rotation_mean_deg - mean_turn.to_degrees()).abs() < 1e-9);
         assert!(table.rows[0].frame_to_frame.direction_mean_deg.unwrap() < 1e-9);
     }
@@ -306,14 +258,8 @@ mod tests {
     fn wrong_counts_are_refused() {
         let truth = Trajectory::accumulate(&drive(10, 0.1));
         let mut builder = MotionTableBuilder::new("dimode", OdometryProtocol::small_world(), None);
-        let error = builder
-            .add_sequence("one", &drive(9, 0.1), &truth)
-            .unwrap_err();
+        let error = builder.add_sequence("one", &drive(9, 0.1), &truth).unwrap_err();
         assert!(error.to_string().contains("9 predicted, but 10"));
-        assert!(
-            MotionTableBuilder::new("x", OdometryProtocol::default(), None)
-                .finish()
-                .is_err()
-        );
+        assert!(MotionTableBuilder::new("x", OdometryProtocol::default(), None).finish().is_err());
     }
 }

@@ -59,11 +59,7 @@ impl OdometryProtocol {
     }
 
     fn check(&self) -> Result<(), EvalError> {
-        let option = |option, value, requirement| EvalError::Option {
-            option,
-            value,
-            requirement,
-        };
+        let option = |option, value, requirement| EvalError::Option { option, value, requirement };
         if let Some(bad) = self.lengths.iter().find(|l| !(l.is_finite() && **l > 0.0)) {
             return Err(option("lengths", *bad, "must be finite and positive"));
         }
@@ -146,11 +142,7 @@ pub fn evaluate_odometry(
         e_t_percent: mean(segments.iter().map(|s| s.translation)).map(|x| 100.0 * x),
         e_r_deg_per_100m: mean(segments.iter().map(|s| s.rotation)).map(|x| 100.0 * x.to_degrees()),
         segments: segments.len(),
-        per_length: protocol
-            .lengths
-            .iter()
-            .filter_map(|l| of_length(*l))
-            .collect(),
+        per_length: protocol.lengths.iter().filter_map(|l| of_length(*l)).collect(),
         ate_m: absolute_error(&aligned),
         rpe_translation_m: mean(rpe_translation.iter().copied()),
         rpe_rotation_deg: mean(rpe_rotation.iter().copied()).map(f64::to_degrees),
@@ -210,21 +202,15 @@ fn segment_errors(aligned: &Aligned, path: &[f64], protocol: &OdometryProtocol) 
             };
             let travelled = a.relative(&aligned.truth[&ends.0], &aligned.truth[&ends.1]);
             let error = a.relative(&a.relative(from, to), &travelled);
-            segments.push(Segment {
-                length,
-                translation: position(&error).norm() / length,
-                rotation: a.angle(&error) / length,
-            });
+            segments.push(Segment { length, translation: position(&error).norm() / length, rotation: a.angle(&error) / length });
         }
     }
     segments
 }
 
 fn absolute_error(aligned: &Aligned) -> f64 {
-    let squares = aligned
-        .prediction
-        .iter()
-        .map(|(index, pose)| (position(pose) - position(&aligned.truth[index])).norm_squared());
+    let squares =
+        aligned.prediction.iter().map(|(index, pose)| (position(pose) - position(&aligned.truth[index])).norm_squared());
     mean(squares).unwrap_or(0.0).sqrt()
 }
 

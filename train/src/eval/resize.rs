@@ -27,11 +27,7 @@ pub fn resize_bilinear(map: &Map, height: usize, width: usize) -> Map {
             data.push((line(top) * (1.0 - fy) + line(bottom) * fy) as f32);
         }
     }
-    Map {
-        height,
-        width,
-        data,
-    }
+    Map { height, width, data }
 }
 
 /// For each output index: the two source indices and the weight of the second.
@@ -69,11 +65,7 @@ pub fn resize_depth(depth: &Map, height: usize, width: usize) -> Result<Map, Eva
 
 /// 1 / x for every pixel.
 pub(crate) fn invert(map: &Map) -> Map {
-    Map {
-        height: map.height,
-        width: map.width,
-        data: map.data.iter().map(|x| 1.0 / x).collect(),
-    }
+    Map { height: map.height, width: map.width, data: map.data.iter().map(|x| 1.0 / x).collect() }
 }
 
 #[cfg(test)]
@@ -82,48 +74,28 @@ mod tests {
 
     #[test]
     fn same_size_is_the_identity_and_constants_stay() {
-        let map = Map {
-            height: 2,
-            width: 3,
-            data: vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
-        };
+        let map = Map { height: 2, width: 3, data: vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0] };
         assert_eq!(resize_bilinear(&map, 2, 3), map);
-        let flat = Map {
-            height: 2,
-            width: 2,
-            data: vec![7.0; 4],
-        };
+        let flat = Map { height: 2, width: 2, data: vec![7.0; 4] };
         assert!(resize_bilinear(&flat, 5, 9).data.iter().all(|x| *x == 7.0));
     }
 
     #[test]
     fn doubling_two_pixels_gives_quarter_steps() {
-        let map = Map {
-            height: 1,
-            width: 2,
-            data: vec![0.0, 4.0],
-        };
+        let map = Map { height: 1, width: 2, data: vec![0.0, 4.0] };
         assert_eq!(resize_bilinear(&map, 1, 4).data, vec![0.0, 1.0, 3.0, 4.0]);
     }
 
     #[test]
     fn depth_is_resized_as_disparity() {
-        let map = Map {
-            height: 1,
-            width: 2,
-            data: vec![1.0, 0.5],
-        };
+        let map = Map { height: 1, width: 2, data: vec![1.0, 0.5] };
         let got = resize_depth(&map, 1, 4).unwrap();
         assert_eq!(got.data, vec![1.0, 1.0 / 1.25, 1.0 / 1.75, 0.5]);
     }
 
     #[test]
     fn zero_depth_is_named() {
-        let map = Map {
-            height: 1,
-            width: 2,
-            data: vec![1.0, 0.0],
-        };
+        let map = Map { height: 1, width: 2, data: vec![1.0, 0.0] };
         let message = resize_depth(&map, 2, 4).unwrap_err().to_string();
         assert!(message.contains("row 0, column 1 is 0"), "{message}");
     }

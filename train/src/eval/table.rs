@@ -72,11 +72,7 @@ fn grid(title: String, rows: &[(&str, RowKind)], columns: &[Column], notes: Vec<
             Some(value) => (format!("{value:.*}", c.decimals), c.is_best(i)),
             None => ("n/a".to_owned(), false),
         };
-        lines.push(GridRow {
-            name: (*name).to_owned(),
-            kind: Some(*kind),
-            cells: columns.iter().map(cell).collect(),
-        });
+        lines.push(GridRow { name: (*name).to_owned(), kind: Some(*kind), cells: columns.iter().map(cell).collect() });
     }
     let ratio = |c: &Column| c.ratio.map_or_else(String::new, |r| format!("{r:.2} x"));
     lines.push(GridRow {
@@ -84,12 +80,7 @@ fn grid(title: String, rows: &[(&str, RowKind)], columns: &[Column], notes: Vec<
         kind: None,
         cells: columns.iter().map(|c| (ratio(c), false)).collect(),
     });
-    Grid {
-        title,
-        heads,
-        rows: lines,
-        notes,
-    }
+    Grid { title, heads, rows: lines, notes }
 }
 
 fn ratio_of(ratios: &[Ratio], metric: &str) -> Option<f64> {
@@ -99,29 +90,13 @@ fn ratio_of(ratios: &[Ratio], metric: &str) -> Option<f64> {
 /// The depth rows as a grid.
 pub(crate) fn depth_grid(data: &str, table: &DepthTable) -> Grid {
     let names = super::DepthScores::NAMES;
-    let heads = [
-        "AbsRel",
-        "SqRel [m]",
-        "RMSE [m]",
-        "RMSE log",
-        "a1",
-        "a2",
-        "a3",
-    ];
+    let heads = ["AbsRel", "SqRel [m]", "RMSE [m]", "RMSE log", "a1", "a2", "a3"];
     let mut columns: Vec<Column> = (0..7)
         .map(|k| Column {
             head: heads[k],
-            better: if k >= 4 {
-                Better::Higher
-            } else {
-                Better::Lower
-            },
+            better: if k >= 4 { Better::Higher } else { Better::Lower },
             decimals: 3,
-            values: table
-                .rows
-                .iter()
-                .map(|row| Some(row.summary.scores.values()[k]))
-                .collect(),
+            values: table.rows.iter().map(|row| Some(row.summary.scores.values()[k])).collect(),
             ratio: ratio_of(&table.ratios, names[k]),
         })
         .collect();
@@ -129,32 +104,16 @@ pub(crate) fn depth_grid(data: &str, table: &DepthTable) -> Grid {
         head: "scale spread",
         better: Better::Neither,
         decimals: 3,
-        values: table
-            .rows
-            .iter()
-            .map(|row| Some(row.summary.scale_spread))
-            .collect(),
+        values: table.rows.iter().map(|row| Some(row.summary.scale_spread)).collect(),
         ratio: None,
     });
-    let rows: Vec<_> = table
-        .rows
-        .iter()
-        .map(|row| (row.name.as_str(), row.kind))
-        .collect();
-    let mut notes = vec![
-        "Mean over frames of the per-frame values. Scale spread: standard deviation of scale / median scale.".to_owned(),
-    ];
+    let rows: Vec<_> = table.rows.iter().map(|row| (row.name.as_str(), row.kind)).collect();
+    let mut notes =
+        vec!["Mean over frames of the per-frame values. Scale spread: standard deviation of scale / median scale.".to_owned()];
     if table.skipped > 0 {
-        notes.push(format!(
-            "{} frame(s) without a valid pixel left out.",
-            table.skipped
-        ));
+        notes.push(format!("{} frame(s) without a valid pixel left out.", table.skipped));
     }
-    let title = format!(
-        "Depth: {data}, {} frames ({})",
-        table.frames,
-        table.protocol.describe()
-    );
+    let title = format!("Depth: {data}, {} frames ({})", table.frames, table.protocol.describe());
     grid(title, &rows, &columns, notes)
 }
 
@@ -162,22 +121,12 @@ pub(crate) fn depth_grid(data: &str, table: &DepthTable) -> Grid {
 pub(crate) fn motion_grid(data: &str, table: &MotionTable) -> Grid {
     type Get = fn(&super::MotionRow) -> Option<f64>;
     let specs: [(&'static str, &'static str, usize, Get); 7] = [
-        ("rot [deg]", "rotation_mean_deg", 3, |r| {
-            Some(r.frame_to_frame.rotation_mean_deg)
-        }),
-        ("rot median", "rotation_median_deg", 3, |r| {
-            Some(r.frame_to_frame.rotation_median_deg)
-        }),
-        ("dir [deg]", "direction_mean_deg", 2, |r| {
-            r.frame_to_frame.direction_mean_deg
-        }),
-        ("dir median", "direction_median_deg", 2, |r| {
-            r.frame_to_frame.direction_median_deg
-        }),
+        ("rot [deg]", "rotation_mean_deg", 3, |r| Some(r.frame_to_frame.rotation_mean_deg)),
+        ("rot median", "rotation_median_deg", 3, |r| Some(r.frame_to_frame.rotation_median_deg)),
+        ("dir [deg]", "direction_mean_deg", 2, |r| r.frame_to_frame.direction_mean_deg),
+        ("dir median", "direction_median_deg", 2, |r| r.frame_to_frame.direction_median_deg),
         ("e_t [%]", "e_t_percent", 2, |r| r.odometry.e_t_percent),
-        ("e_r [deg/100m]", "e_r_deg_per_100m", 2, |r| {
-            r.odometry.e_r_deg_per_100m
-        }),
+        ("e_r [deg/100m]", "e_r_deg_per_100m", 2, |r| r.odometry.e_r_deg_per_100m),
         ("ATE [m]", "ate_m", 3, |r| r.odometry.ate_m),
     ];
     let columns: Vec<Column> = specs
@@ -190,11 +139,7 @@ pub(crate) fn motion_grid(data: &str, table: &MotionTable) -> Grid {
             ratio: ratio_of(&table.ratios, key),
         })
         .collect();
-    let rows: Vec<_> = table
-        .rows
-        .iter()
-        .map(|row| (row.name.as_str(), row.kind))
-        .collect();
+    let rows: Vec<_> = table.rows.iter().map(|row| (row.name.as_str(), row.kind)).collect();
     let title = format!(
         "Motion: {data}, {} frame pairs in {} sequence(s) ({})",
         table.pairs,
@@ -218,34 +163,18 @@ fn motion_notes(table: &MotionTable) -> Vec<String> {
     ];
     let skipped = table.rows[0].frame_to_frame.direction_skipped;
     if skipped > 0 {
-        notes.push(format!(
-            "{skipped} pair(s) without true translation have no direction error."
-        ));
+        notes.push(format!("{skipped} pair(s) without true translation have no direction error."));
     }
-    if table.rows[0]
-        .odometry
-        .per_sequence
-        .iter()
-        .any(|s| s.errors.rotation_ambiguous)
-    {
-        notes.push(
-            "Some true paths are straight lines: the alignment cannot fix the twist about them."
-                .to_owned(),
-        );
+    if table.rows[0].odometry.per_sequence.iter().any(|s| s.errors.rotation_ambiguous) {
+        notes.push("Some true paths are straight lines: the alignment cannot fix the twist about them.".to_owned());
     }
     notes
 }
 
 /// All tables of an evaluation, depth first.
 pub(crate) fn grids(evaluation: &Evaluation) -> Vec<Grid> {
-    let depth = evaluation
-        .depth
-        .as_ref()
-        .map(|t| depth_grid(&evaluation.data, t));
-    let motion = evaluation
-        .motion
-        .as_ref()
-        .map(|t| motion_grid(&evaluation.data, t));
+    let depth = evaluation.depth.as_ref().map(|t| depth_grid(&evaluation.data, t));
+    let motion = evaluation.motion.as_ref().map(|t| motion_grid(&evaluation.data, t));
     depth.into_iter().chain(motion).collect()
 }
 
@@ -254,29 +183,17 @@ pub(crate) fn render(grid: &Grid) -> String {
     let mut table = Table::new();
     table.load_style(presets::UTF8_FULL_CONDENSED);
     table.set_header(grid.heads.iter().map(|head| {
-        let alignment = if head.is_empty() {
-            CellAlignment::Left
-        } else {
-            CellAlignment::Right
-        };
+        let alignment = if head.is_empty() { CellAlignment::Left } else { CellAlignment::Right };
         Cell::new(head).set_alignment(alignment)
     }));
     for row in &grid.rows {
         let mut cells = vec![Cell::new(&row.name)];
         cells.extend(row.cells.iter().map(|(text, best)| {
-            let text = if *best {
-                format!("{text} *")
-            } else {
-                format!("{text}  ")
-            };
+            let text = if *best { format!("{text} *") } else { format!("{text}  ") };
             Cell::new(text.as_str()).set_alignment(CellAlignment::Right)
         }));
         table.add_row(cells);
     }
-    let notes: String = grid
-        .notes
-        .iter()
-        .map(|note| format!("  {note}\n"))
-        .collect();
+    let notes: String = grid.notes.iter().map(|note| format!("  {note}\n")).collect();
     format!("{}\n{}\n{notes}", grid.title, table.trim_fmt())
 }

@@ -31,11 +31,7 @@ impl TrivialDepth {
     /// Depth of the given size in metres.
     pub fn predict(&self, height: usize, width: usize) -> Map {
         match self {
-            Self::Constant(value) => Map {
-                height,
-                width,
-                data: vec![*value; height * width],
-            },
+            Self::Constant(value) => Map { height, width, data: vec![*value; height * width] },
             Self::MeanDisparity(disparity) => invert(&resize_bilinear(disparity, height, width)),
         }
     }
@@ -87,17 +83,9 @@ impl MeanDisparity {
         let values: Vec<Option<f64>> = self.sums.iter().zip(&self.counts).map(of_pixel).collect();
         let all = mean(values.iter().flatten().copied());
         let (Some(all), Some((height, width))) = (all, self.size) else {
-            return Err(EvalError::TooFew {
-                what: "training depth for the mean disparity map",
-                needed: 1,
-                found: 0,
-            });
+            return Err(EvalError::TooFew { what: "training depth for the mean disparity map", needed: 1, found: 0 });
         };
-        Ok(Map {
-            height,
-            width,
-            data: values.iter().map(|v| v.unwrap_or(all) as f32).collect(),
-        })
+        Ok(Map { height, width, data: values.iter().map(|v| v.unwrap_or(all) as f32).collect() })
     }
 }
 
@@ -130,11 +118,7 @@ impl MeanMotion {
     /// **Errors** when there is no motion.
     pub fn fit(motions: &[Se3]) -> Result<Self, EvalError> {
         if motions.is_empty() {
-            return Err(EvalError::TooFew {
-                what: "training motions",
-                needed: 1,
-                found: 0,
-            });
+            return Err(EvalError::TooFew { what: "training motions", needed: 1, found: 0 });
         }
         let count = motions.len() as f64;
         let mut rotation = Vector3::zeros();
@@ -159,10 +143,7 @@ impl MeanMotion {
 
     /// The motion `source_from_target` that is predicted for every pair.
     pub fn motion(&self) -> Se3 {
-        Se3::from_rotation_vector(
-            &Vector3::from(self.rotation_vector),
-            Vector3::from(self.direction) * self.step,
-        )
+        Se3::from_rotation_vector(&Vector3::from(self.rotation_vector), Vector3::from(self.direction) * self.step)
     }
 }
 
@@ -171,11 +152,7 @@ mod tests {
     use super::*;
 
     fn map(data: &[f32]) -> Map {
-        Map {
-            height: 1,
-            width: data.len(),
-            data: data.to_vec(),
-        }
+        Map { height: 1, width: data.len(), data: data.to_vec() }
     }
 
     #[test]
@@ -197,11 +174,8 @@ mod tests {
 
     #[test]
     fn mean_motion_of_known_motions() {
-        let motion = |w: f64, t: [f64; 3]| {
-            Se3::from_rotation_vector(&Vector3::new(0.0, w, 0.0), Vector3::from(t))
-        };
-        let got =
-            MeanMotion::fit(&[motion(0.1, [2.0, 0.0, 0.0]), motion(0.3, [0.0, 0.0, 4.0])]).unwrap();
+        let motion = |w: f64, t: [f64; 3]| Se3::from_rotation_vector(&Vector3::new(0.0, w, 0.0), Vector3::from(t));
+        let got = MeanMotion::fit(&[motion(0.1, [2.0, 0.0, 0.0]), motion(0.3, [0.0, 0.0, 4.0])]).unwrap();
         assert!((got.rotation_vector[1] - 0.2).abs() < 1e-12);
         assert!((got.step - 3.0).abs() < 1e-12);
         let half = 0.5f64.sqrt();

@@ -17,9 +17,14 @@ const SMALLEST: f64 = 1e-3;
 /// When sizes differ or images do not have three channels.
 #[track_caller]
 pub fn self_guided<T: Scalar>(depth: &Tensor<T>, images: &Tensor<T>) -> Tensor<T> {
+    self_guided_with(depth, images, (depth.shape().h() / 48).max(2))
+}
+
+/// As [`self_guided`] with a window of `2 radius + 1` pixels.
+#[track_caller]
+pub fn self_guided_with<T: Scalar>(depth: &Tensor<T>, images: &Tensor<T>, radius: usize) -> Tensor<T> {
     let (s, i) = (depth.shape(), images.shape());
     assert!(s.n() == i.n() && i.c() == 3 && s.h() == i.h() && s.w() == i.w(), "self_guided: depth {s} under images {i}");
-    let radius = (s.h() / 48).max(2);
     let maps = par::map_indices(s.n(), |n| {
         let guide: Vec<f64> = (0..s.plane())
             .map(|p| {
@@ -42,8 +47,7 @@ pub fn guided_filter(guide: &[f64], input: &[f64], h: usize, w: usize, radius: u
     let product = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).collect::<Vec<_>>();
     let (mg, my) = (mean(guide), mean(input));
     let (mgy, mgg) = (mean(&product(guide, input)), mean(&product(guide, guide)));
-    let a: Vec<f64> =
-        (0..guide.len()).map(|i| (mgy[i] - mg[i] * my[i]) / (mgg[i] - mg[i] * mg[i] + EPSILON)).collect();
+    let a: Vec<f64> = (0..guide.len()).map(|i| (mgy[i] - mg[i] * my[i]) / (mgg[i] - mg[i] * mg[i] + EPSILON)).collect();
     let b: Vec<f64> = (0..guide.len()).map(|i| my[i] - a[i] * mg[i]).collect();
     let (ma, mb) = (mean(&a), mean(&b));
     (0..guide.len()).map(|i| ma[i] * guide[i] + mb[i]).collect()

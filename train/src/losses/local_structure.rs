@@ -64,9 +64,7 @@ pub fn normals<'t, T: Scalar>(depth: Var<'t, T>, cameras: &[Intrinsics]) -> Var<
     };
     let (du, dv) = (sobel(true), sobel(false));
     let part = |x: Var<'t, T>, c: usize| x.slice(1, c % 3, 1);
-    let cross: Vec<_> = (0..3)
-        .map(|c| part(du, c + 1).mul(part(dv, c + 2)).sub(part(du, c + 2).mul(part(dv, c + 1))))
-        .collect();
+    let cross: Vec<_> = (0..3).map(|c| part(du, c + 1).mul(part(dv, c + 2)).sub(part(du, c + 2).mul(part(dv, c + 1)))).collect();
     let length = cross.iter().map(|x| x.square()).reduce(|a, b| a.add(b)).expect("three components");
     let scale = length.add_scalar(TINY).sqrt().recip();
     Var::concat(&[cross[0].mul(scale), cross[1].mul(scale), cross[2].mul(scale)], 1)

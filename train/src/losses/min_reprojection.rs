@@ -33,7 +33,7 @@ pub fn min_reprojection<'t, T: Scalar>(warped: &[Var<'t, T>], identities: &[Tens
     for (who, map) in candidates {
         for ((e, w), &m) in error.iter_mut().zip(&mut winner).zip(map.data()) {
             // Written so that a NaN wins and is seen, instead of vanishing in a comparison.
-            if !(m >= *e) {
+            if m < *e || m.is_nan() {
                 *e = m;
                 *w = who;
             }

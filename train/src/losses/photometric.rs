@@ -64,8 +64,7 @@ fn backward<T: Scalar>(x: &Tensor<T>, y: &Tensor<T>, g: &Tensor<T>, dx: &mut [T]
         let mut work = Work::new(size.len());
         for (c, dx) in dx.chunks_exact_mut(shape.plane()).enumerate() {
             let scale = 1.0 / shape.c() as f64;
-            let task =
-                Backward { x: x.plane(n, c), y: y.plane(n, c), g: g.plane(n, 0), size, scale, work: &mut work, dx };
+            let task = Backward { x: x.plane(n, c), y: y.plane(n, c), g: g.plane(n, 0), size, scale, work: &mut work, dx };
             Arch::new().dispatch(task);
         }
     });

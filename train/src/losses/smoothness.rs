@@ -41,9 +41,8 @@ fn edge_weights<T: Scalar>(images: &Tensor<T>, axis: usize, edge: f64) -> Tensor
     let channels = images.shape().c();
     let scale = T::from_f64(-edge / channels as f64);
     Tensor::from_fn(shape, |n, _, h, w| {
-        let sum = (0..channels)
-            .map(|c| (images.at(n, c, h + dy, w + dx) - images.at(n, c, h, w)).abs())
-            .fold(T::ZERO, |a, b| a + b);
+        let sum =
+            (0..channels).map(|c| (images.at(n, c, h + dy, w + dx) - images.at(n, c, h, w)).abs()).fold(T::ZERO, |a, b| a + b);
         (scale * sum).exp()
     })
 }

@@ -74,8 +74,7 @@ impl AdamW {
                 kernel.update(m, v, w, g);
             }
         });
-        let moments =
-            Moments { steps, first: Tensor::from_vec(shape, first), second: Tensor::from_vec(shape, second) };
+        let moments = Moments { steps, first: Tensor::from_vec(shape, first), second: Tensor::from_vec(shape, second) };
         state.0.insert(path.to_string(), moments);
         Tensor::from_vec(shape, next)
     }
@@ -141,8 +140,8 @@ mod tests {
         assert!((after_one - (1.0 - 0.1 * 0.01 - 0.1)).abs() < 1e-6, "{after_one}");
         let (after_two, _) = run(&[0.5, -0.25], AdamW::default(), 0.1);
         let w = 0.899_f64;
-        let m = (0.9 * 0.05 - 0.1 * 0.25) / (1.0 - 0.81);
-        let v = (0.999 * 0.00025 + 0.001 * 0.0625) / (1.0 - 0.999 * 0.999);
+        let m: f64 = (0.9 * 0.05 - 0.1 * 0.25) / (1.0 - 0.81);
+        let v: f64 = (0.999 * 0.00025 + 0.001 * 0.0625) / (1.0 - 0.999 * 0.999);
         let want = w * (1.0 - 0.001) - 0.1 * m / (v.sqrt() + 1e-8);
         assert!((f64::from(after_two) - want).abs() < 1e-6, "{after_two} against {want}");
     }

@@ -10,11 +10,7 @@ pub fn encode(bytes: &[u8]) -> String {
         let bits = byte(0) << 16 | byte(1) << 8 | byte(2);
         for i in 0..4 {
             let symbol = ALPHABET[(bits >> (18 - 6 * i) & 63) as usize];
-            text.push(if i <= chunk.len() {
-                char::from(symbol)
-            } else {
-                '='
-            });
+            text.push(if i <= chunk.len() { char::from(symbol) } else { '=' });
         }
     }
     text

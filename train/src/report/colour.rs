@@ -66,14 +66,7 @@ fn mix(a: Rgb, b: Rgb, share: f64) -> Rgb {
 }
 
 /// Six hues around the wheel, starting at motion to the right and turning towards motion down.
-const WHEEL: [Rgb; 6] = [
-    [230, 40, 50],
-    [240, 190, 20],
-    [70, 180, 40],
-    [10, 170, 190],
-    [50, 80, 220],
-    [190, 40, 190],
-];
+const WHEEL: [Rgb; 6] = [[230, 40, 50], [240, 190, 20], [70, 180, 40], [10, 170, 190], [50, 80, 220], [190, 40, 190]];
 
 /// Colour of a displacement (`u` right, `v` down): hue from the direction, white for none, full colour at `length` 1 and
 /// beyond. Values that are not finite get [`UNKNOWN`].
@@ -85,11 +78,7 @@ pub fn direction(u: f64, v: f64) -> Rgb {
     let turn = v.atan2(u).rem_euclid(std::f64::consts::TAU) / std::f64::consts::TAU;
     let position = turn * WHEEL.len() as f64;
     let low = (position as usize).min(WHEEL.len() - 1);
-    let hue = mix(
-        WHEEL[low],
-        WHEEL[(low + 1) % WHEEL.len()],
-        position - low as f64,
-    );
+    let hue = mix(WHEEL[low], WHEEL[(low + 1) % WHEEL.len()], position - low as f64);
     mix([255, 255, 255], hue, length.min(1.0))
 }
 
@@ -103,9 +92,7 @@ mod tests {
 
     #[test]
     fn ember_gets_lighter_all_the_way() {
-        let values: Vec<f64> = (0..=200)
-            .map(|i| lightness(Scale::Ember.at(f64::from(i) / 200.0)))
-            .collect();
+        let values: Vec<f64> = (0..=200).map(|i| lightness(Scale::Ember.at(f64::from(i) / 200.0))).collect();
         assert!(values.windows(2).all(|w| w[1] >= w[0] - 0.5), "{values:?}");
         assert!(values[0] < 10.0 && values[200] > 230.0);
     }

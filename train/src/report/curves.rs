@@ -30,20 +30,12 @@ impl<'a> Run<'a> {
             let (low, high) = range.unwrap_or((x, x));
             Some((low.min(x), high.max(x)))
         });
-        Self {
-            curves,
-            marks,
-            steps,
-        }
+        Self { curves, marks, steps }
     }
 }
 
 /// Mean over the points within the same stage at most `reach` places away; the end of a stage is not mixed with the next.
-pub(crate) fn running_mean(
-    points: &[(f64, f64)],
-    marks: &[StageMark],
-    reach: usize,
-) -> Vec<(f64, f64)> {
+pub(crate) fn running_mean(points: &[(f64, f64)], marks: &[StageMark], reach: usize) -> Vec<(f64, f64)> {
     let finite: Vec<(f64, f64)> = points.iter().copied().filter(|p| p.1.is_finite()).collect();
     let stage = |x: f64| marks.iter().filter(|mark| mark.step as f64 <= x).count();
     let mut smooth = Vec::with_capacity(finite.len());
@@ -89,12 +81,7 @@ pub(crate) fn thin(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 
 fn lines(curve: &Curve, marks: &[StageMark], colour: usize) -> [Series; 2] {
     let reach = (curve.points.len() / 60).max(2);
-    let line = |stroke, points: Vec<(f64, f64)>| Series {
-        name: curve.name.clone(),
-        colour,
-        stroke,
-        points: thin(&points),
-    };
+    let line = |stroke, points: Vec<(f64, f64)>| Series { name: curve.name.clone(), colour, stroke, points: thin(&points) };
     let raw: Vec<(f64, f64)> = curve.points.iter().map(|[x, y]| (*x, *y)).collect();
     let smooth = running_mean(&raw, marks, reach);
     [line(Stroke::Faint, raw), line(Stroke::Strong, smooth)]
@@ -119,57 +106,29 @@ fn panel(title: &str, y_label: &str, curves: &[&Curve], run: &Run<'_>, wide: boo
     }
     chart.series = faint;
     chart.series.append(&mut strong);
-    let mark = |m: &StageMark| Mark {
-        x: m.step as f64,
-        label: m.label.clone(),
-    };
+    let mark = |m: &StageMark| Mark { x: m.step as f64, label: m.label.clone() };
     chart.marks = marks.iter().map(mark).collect();
     if curves.iter().all(|c| c.group == CurveGroup::ValidShare) {
         chart.y_range = Some((0.0, 1.05));
         let svg = chart.to_svg();
-        return Panel {
-            title: title.to_owned(),
-            linear: svg.clone(),
-            log: svg,
-            legend,
-        };
+        return Panel { title: title.to_owned(), linear: svg.clone(), log: svg, legend };
     }
     let linear = chart.to_svg();
     chart.log_y = true;
-    Panel {
-        title: title.to_owned(),
-        linear,
-        log: chart.to_svg(),
-        legend,
-    }
+    Panel { title: title.to_owned(), linear, log: chart.to_svg(), legend }
 }
 
 /// One chart for each curve of a group.
 pub(crate) fn single_panels(run: &Run<'_>, group: CurveGroup) -> Vec<Panel> {
-    let chosen = run
-        .curves
-        .iter()
-        .filter(|c| c.group == group && !c.points.is_empty());
-    chosen
-        .map(|c| panel(&c.name, "value", &[c], run, false))
-        .collect()
+    let chosen = run.curves.iter().filter(|c| c.group == group && !c.points.is_empty());
+    chosen.map(|c| panel(&c.name, "value", &[c], run, false)).collect()
 }
 
 /// One chart for a group (several when it has more than eight curves).
-pub(crate) fn joint_panels(
-    run: &Run<'_>,
-    group: CurveGroup,
-    title: &str,
-    y_label: &str,
-) -> Vec<Panel> {
+pub(crate) fn joint_panels(run: &Run<'_>, group: CurveGroup, title: &str, y_label: &str) -> Vec<Panel> {
     let curves = run.curves.iter();
-    let chosen: Vec<&Curve> = curves
-        .filter(|c| c.group == group && !c.points.is_empty())
-        .collect();
-    chosen
-        .chunks(8)
-        .map(|part| panel(title, y_label, part, run, true))
-        .collect()
+    let chosen: Vec<&Curve> = curves.filter(|c| c.group == group && !c.points.is_empty()).collect();
+    chosen.chunks(8).map(|part| panel(title, y_label, part, run, true)).collect()
 }
 
 #[cfg(test)]
@@ -178,26 +137,18 @@ mod tests {
     use super::*;
 
     fn mark(step: u64) -> StageMark {
-        StageMark {
-            step,
-            label: format!("from {step}"),
-        }
+        StageMark { step, label: format!("from {step}") }
     }
 
     #[test]
     fn the_running_mean_stays_within_a_stage() {
-        let points: Vec<(f64, f64)> = (0..20)
-            .map(|i| (f64::from(i), if i < 10 { 1.0 } else { 5.0 }))
-            .collect();
+        let points: Vec<(f64, f64)> = (0..20).map(|i| (f64::from(i), if i < 10 { 1.0 } else { 5.0 })).collect();
         let smooth = running_mean(&points, &[mark(0), mark(10)], 4);
         assert_eq!(smooth, points);
         let ramp: Vec<(f64, f64)> = (0..9).map(|i| (f64::from(i), f64::from(i))).collect();
         assert_eq!(running_mean(&ramp, &[], 3)[3..6], ramp[3..6]);
         let spike = [(0.0, 0.0), (1.0, 3.0), (2.0, 0.0), (3.0, f64::NAN)];
-        assert_eq!(
-            running_mean(&spike, &[], 1),
-            [(0.0, 1.5), (1.0, 1.0), (2.0, 1.5)]
-        );
+        assert_eq!(running_mean(&spike, &[], 1), [(0.0, 1.5), (1.0, 1.0), (2.0, 1.5)]);
     }
 
     #[test]
@@ -216,9 +167,7 @@ mod tests {
         let curve = |name: &str, group: CurveGroup| Curve {
             name: name.into(),
             group,
-            points: (0..50)
-                .map(|i| [f64::from(i), 0.1 + 1.0 / (1.0 + f64::from(i))])
-                .collect(),
+            points: (0..50).map(|i| [f64::from(i), 0.1 + 1.0 / (1.0 + f64::from(i))]).collect(),
         };
         let curves = vec![
             curve("l_pho", CurveGroup::Loss),

@@ -12,10 +12,7 @@ use crate::data::{Map, write_atomic, write_depth_png};
 ///
 /// **Errors** when the value has no JSON form or the file cannot be written.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), ReportError> {
-    let mut bytes = serde_json::to_vec_pretty(value).map_err(|source| ReportError::Json {
-        path: path.to_owned(),
-        source,
-    })?;
+    let mut bytes = serde_json::to_vec_pretty(value).map_err(|source| ReportError::Json { path: path.to_owned(), source })?;
     bytes.push(b'\n');
     Ok(write_atomic(path, &bytes)?)
 }
@@ -24,16 +21,8 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), ReportError
 /// 2 and so on) and `NAME.tum.txt` (time or frame index, position, quaternion) into a folder; gives both paths.
 ///
 /// **Errors** when a file cannot be written.
-pub fn write_trajectory(
-    folder: &Path,
-    name: &str,
-    trajectory: &Trajectory,
-) -> Result<[PathBuf; 2], ReportError> {
-    let gaps = trajectory
-        .poses
-        .iter()
-        .enumerate()
-        .any(|(i, pose)| pose.index != i);
+pub fn write_trajectory(folder: &Path, name: &str, trajectory: &Trajectory) -> Result<[PathBuf; 2], ReportError> {
+    let gaps = trajectory.poses.iter().enumerate().any(|(i, pose)| pose.index != i);
     let kitti = folder.join(format!("{name}.kitti.txt"));
     let tum = folder.join(format!("{name}.tum.txt"));
     write_atomic(&kitti, trajectory.to_kitti(gaps).as_bytes())?;
@@ -67,46 +56,26 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut trajectory = drive();
         let [kitti, tum] = write_trajectory(folder.path(), "seq", &trajectory).unwrap();
-        let first_line = std::fs::read_to_string(&kitti)
-            .unwrap()
-            .lines()
-            .next()
-            .unwrap()
-            .to_owned();
+        let first_line = std::fs::read_to_string(&kitti).unwrap().lines().next().unwrap().to_owned();
         assert_eq!(first_line.split_whitespace().count(), 12);
-        for back in [
-            Trajectory::read_kitti(&kitti).unwrap(),
-            Trajectory::read_tum(&tum).unwrap(),
-        ] {
+        for back in [Trajectory::read_kitti(&kitti).unwrap(), Trajectory::read_tum(&tum).unwrap()] {
             assert_eq!(back.poses.len(), 5);
             for (a, b) in back.poses.iter().zip(&trajectory.poses) {
-                assert!(
-                    (a.world_from_camera.translation - b.world_from_camera.translation).norm()
-                        < 1e-6
-                );
-                assert!(
-                    (a.world_from_camera.rotation - b.world_from_camera.rotation).norm() < 1e-5
-                );
+                assert!((a.world_from_camera.translation - b.world_from_camera.translation).norm() < 1e-6);
+                assert!((a.world_from_camera.rotation - b.world_from_camera.rotation).norm() < 1e-5);
             }
         }
         trajectory.poses.remove(2);
         let [kitti, _] = write_trajectory(folder.path(), "gap", &trajectory).unwrap();
         let back = Trajectory::read_kitti(&kitti).unwrap();
-        assert_eq!(
-            back.poses.iter().map(|p| p.index).collect::<Vec<_>>(),
-            [0, 1, 3, 4]
-        );
+        assert_eq!(back.poses.iter().map(|p| p.index).collect::<Vec<_>>(), [0, 1, 3, 4]);
     }
 
     #[test]
     fn depth_comes_back_to_half_a_step() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("depth.png");
-        let depth = Map {
-            height: 1,
-            width: 3,
-            data: vec![0.0, 1.234, 80.0],
-        };
+        let depth = Map { height: 1, width: 3, data: vec![0.0, 1.234, 80.0] };
         write_depth_png16(&path, &depth).unwrap();
         let back = image::open(&path).unwrap().to_luma16();
         for (got, want) in back.as_raw().iter().zip(&depth.data) {
@@ -119,10 +88,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("none").join("metrics.json");
         let message = write_json(&path, &[1, 2]).unwrap_err().to_string();
-        assert!(
-            message.contains("metrics.json") && message.contains("cannot be written"),
-            "{message}"
-        );
+        assert!(message.contains("metrics.json") && message.contains("cannot be written"), "{message}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

@@ -23,18 +23,8 @@ pub fn render_html(input: &ReportInput) -> Result<String, ReportError> {
     let run = Run::new(&input.curves, &input.stage_marks);
     let losses = single_panels(&run, CurveGroup::Loss);
     let other = single_panels(&run, CurveGroup::Other);
-    let share = joint_panels(
-        &run,
-        CurveGroup::ValidShare,
-        "Valid-pixel share per term",
-        "share",
-    );
-    let norms = joint_panels(
-        &run,
-        CurveGroup::GradientNorm,
-        "Gradient norm per term",
-        "norm",
-    );
+    let share = joint_panels(&run, CurveGroup::ValidShare, "Valid-pixel share per term", "share");
+    let norms = joint_panels(&run, CurveGroup::GradientNorm, "Gradient norm per term", "norm");
     let page = context! {
         title => input.title.as_str(),
         command => input.command.as_str(),
@@ -114,10 +104,7 @@ fn grid(grid: &Grid) -> Value {
             Some(RowKind::Trivial) => "trivial",
             None => "ratio",
         };
-        let cells = list(
-            &row.cells,
-            |(text, best)| context! { text => text.as_str(), best => *best },
-        );
+        let cells = list(&row.cells, |(text, best)| context! { text => text.as_str(), best => *best });
         context! { name => row.name.as_str(), class => class, cells => cells }
     });
     context! {
@@ -138,10 +125,7 @@ fn figure(caption: String, picture: &Picture) -> Value {
 }
 
 fn sample(sample: &SamplePicture) -> Value {
-    let mut figures = vec![figure(
-        "frame".to_owned(),
-        &Picture::from_image(&sample.image),
-    )];
+    let mut figures = vec![figure("frame".to_owned(), &Picture::from_image(&sample.image))];
     let mut bars = Vec::new();
     depth_figures(sample, &mut figures, &mut bars);
     let flow_full = flow_figures(sample, &mut figures);
@@ -160,32 +144,19 @@ fn depth_figures(sample: &SamplePicture, figures: &mut Vec<Value>, bars: &mut Ve
     let truth = sample.true_depth.as_ref().filter(same_size);
     let scale = truth.map_or(1.0, |truth| median_ratio(prediction, truth));
     let shown = prediction.data.iter().map(|d| f64::from(*d) * scale);
-    let known = truth
-        .iter()
-        .flat_map(|t| t.data.iter().map(|d| f64::from(*d)));
-    let (near, far) = depth_range(known)
-        .or_else(|| depth_range(shown))
-        .unwrap_or((1.0, 10.0));
+    let known = truth.iter().flat_map(|t| t.data.iter().map(|d| f64::from(*d)));
+    let (near, far) = depth_range(known).or_else(|| depth_range(shown)).unwrap_or((1.0, 10.0));
     let (caption, unit) = match truth {
-        Some(_) => (
-            format!("predicted depth × {} (median ratio)", short(scale)),
-            "m",
-        ),
+        Some(_) => (format!("predicted depth × {} (median ratio)", short(scale)), "m"),
         None => ("predicted depth, own scale".to_owned(), "own unit"),
     };
-    figures.push(figure(
-        caption,
-        &Picture::from_depth(prediction, scale, near, far),
-    ));
+    figures.push(figure(caption, &Picture::from_depth(prediction, scale, near, far)));
     bars.push(context! {
         name => format!("depth [{unit}], logarithmic"),
         svg => safe(&depth_bar(near, far)),
     });
     if let Some(truth) = truth {
-        figures.push(figure(
-            "true depth".to_owned(),
-            &Picture::from_depth(truth, 1.0, near, far),
-        ));
+        figures.push(figure("true depth".to_owned(), &Picture::from_depth(truth, 1.0, near, far)));
         let error = Picture::from_depth_error(prediction, truth, scale, FULL_ERROR);
         figures.push(figure("depth error |p − g| / g".to_owned(), &error));
         bars.push(context! { name => "relative depth error", svg => safe(&error_bar()) });
@@ -194,10 +165,7 @@ fn depth_figures(sample: &SamplePicture, figures: &mut Vec<Value>, bars: &mut Ve
 
 /// The flows in common colours; gives the length in pixels of full colour.
 fn flow_figures(sample: &SamplePicture, figures: &mut Vec<Value>) -> Option<f64> {
-    let named = [
-        ("optical flow (network)", &sample.optical_flow),
-        ("rigid flow (depth and motion)", &sample.rigid_flow),
-    ];
+    let named = [("optical flow (network)", &sample.optical_flow), ("rigid flow (depth and motion)", &sample.rigid_flow)];
     let flows: Vec<&FlowMap> = named.iter().filter_map(|(_, flow)| flow.as_ref()).collect();
     let full = flow_range(&flows);
     for (name, flow) in named {
@@ -217,9 +185,7 @@ fn short(value: f64) -> String {
 /// A strip of colours with ticks below: `ticks` holds positions 0 to 1 and labels.
 fn bar(colour: impl Fn(f64) -> Rgb, ticks: &[(f64, String)]) -> String {
     const STEPS: usize = 64;
-    let mut out = String::from(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 280 34\" class=\"bar\" role=\"img\">",
-    );
+    let mut out = String::from("<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 280 34\" class=\"bar\" role=\"img\">");
     let width = 256.0 / STEPS as f64;
     for i in 0..STEPS {
         let [r, g, b] = colour((i as f64 + 0.5) / STEPS as f64);
@@ -241,42 +207,22 @@ fn bar(colour: impl Fn(f64) -> Rgb, ticks: &[(f64, String)]) -> String {
 }
 
 fn depth_bar(near: f64, far: f64) -> String {
-    let axis = super::scale::Axis {
-        low: near,
-        high: far,
-        log: true,
-    };
-    let ticks: Vec<(f64, String)> = axis
-        .ticks(5)
-        .into_iter()
-        .filter_map(|(v, text)| Some((axis.position(v)?, text)))
-        .collect();
-    bar(
-        |x| depth_colour(near * (far / near).powf(x), near, far),
-        &ticks,
-    )
+    let axis = super::scale::Axis { low: near, high: far, log: true };
+    let ticks: Vec<(f64, String)> = axis.ticks(5).into_iter().filter_map(|(v, text)| Some((axis.position(v)?, text))).collect();
+    bar(|x| depth_colour(near * (far / near).powf(x), near, far), &ticks)
 }
 
 fn error_bar() -> String {
     let ticks: Vec<(f64, String)> = (0..=5)
         .map(|k| f64::from(k) / 5.0)
-        .map(|x| {
-            (
-                x,
-                format!("{:.1}{}", x * FULL_ERROR, if x == 1.0 { "+" } else { "" }),
-            )
-        })
+        .map(|x| (x, format!("{:.1}{}", x * FULL_ERROR, if x == 1.0 { "+" } else { "" })))
         .collect();
     bar(|x| Scale::Spectrum.at(x), &ticks)
 }
 
 fn trajectory(plot: &TrajectoryPlot) -> Value {
     let unit = if plot.metric { "m" } else { "own unit" };
-    let mut chart = Chart::new(
-        &plot.name,
-        &format!("x, right [{unit}]"),
-        &format!("z, forward [{unit}]"),
-    );
+    let mut chart = Chart::new(&plot.name, &format!("x, right [{unit}]"), &format!("z, forward [{unit}]"));
     chart.equal_units = true;
     chart.size = (440.0, 360.0);
     let mut names = Vec::new();
@@ -309,32 +255,16 @@ fn frame_errors(evaluation: Option<&Evaluation>) -> Vec<Value> {
     let Some(table) = evaluation.and_then(|e| e.motion.as_ref()) else {
         return Vec::new();
     };
-    let rotation = |row: usize| -> Vec<Option<f64>> {
-        table.rows[row]
-            .frame_to_frame
-            .rotation_deg
-            .iter()
-            .map(|v| Some(*v))
-            .collect()
-    };
+    let rotation =
+        |row: usize| -> Vec<Option<f64>> { table.rows[row].frame_to_frame.rotation_deg.iter().map(|v| Some(*v)).collect() };
     let direction = |row: usize| table.rows[row].frame_to_frame.direction_deg.clone();
     vec![
         error_chart("Rotation error per frame pair", "degrees", table, &rotation),
-        error_chart(
-            "Translation-direction error per frame pair",
-            "degrees",
-            table,
-            &direction,
-        ),
+        error_chart("Translation-direction error per frame pair", "degrees", table, &direction),
     ]
 }
 
-fn error_chart(
-    title: &str,
-    y_label: &str,
-    table: &MotionTable,
-    get: &dyn Fn(usize) -> Vec<Option<f64>>,
-) -> Value {
+fn error_chart(title: &str, y_label: &str, table: &MotionTable, get: &dyn Fn(usize) -> Vec<Option<f64>>) -> Value {
     let mut chart = Chart::new(title, "frame pair, sequences one after the other", y_label);
     chart.size = (680.0, 260.0);
     chart.marks = sequence_marks(table);
@@ -345,31 +275,17 @@ fn error_chart(
             continue;
         }
         let trained = table.rows[row].kind == RowKind::Trained;
-        let stroke = if trained {
-            Stroke::Strong
-        } else {
-            Stroke::Dashed
-        };
+        let stroke = if trained { Stroke::Strong } else { Stroke::Dashed };
         let colour = if trained { 0 } else { row };
         let point = |(i, value): (usize, &Option<f64>)| (i as f64, value.unwrap_or(f64::NAN));
         let name = table.rows[row].name.clone();
-        chart.series.push(Series {
-            name: name.clone(),
-            colour,
-            stroke,
-            points: values.iter().enumerate().map(point).collect(),
-        });
+        chart.series.push(Series { name: name.clone(), colour, stroke, points: values.iter().enumerate().map(point).collect() });
         names.push((name, colour, stroke));
     }
     names.reverse();
     let linear = chart.to_svg();
     chart.log_y = true;
-    panel(&Panel {
-        title: title.to_owned(),
-        linear,
-        log: chart.to_svg(),
-        legend: names,
-    })
+    panel(&Panel { title: title.to_owned(), linear, log: chart.to_svg(), legend: names })
 }
 
 /// Where sequences begin; empty when it is not known from the trained row.
@@ -382,10 +298,7 @@ fn sequence_marks(table: &MotionTable) -> Vec<Mark> {
     let mut start = 0;
     let mut marks = Vec::new();
     for sequence in sequences {
-        marks.push(Mark {
-            x: start as f64,
-            label: sequence.sequence.clone(),
-        });
+        marks.push(Mark { x: start as f64, label: sequence.sequence.clone() });
         start += pairs(sequence);
     }
     marks

@@ -7,8 +7,7 @@ use super::super::{Curve, StageMark, write_report};
 use super::*;
 use crate::data::{Image, Map};
 use crate::eval::{
-    Alignment, DepthProtocol, DepthTableBuilder, MeanMotion, MotionTableBuilder, OdometryProtocol,
-    TrivialDepth, align_trajectory,
+    Alignment, DepthProtocol, DepthTableBuilder, MeanMotion, MotionTableBuilder, OdometryProtocol, TrivialDepth, align_trajectory,
 };
 
 fn steps(turn: f64, speed: f64) -> Vec<Se3> {
@@ -21,11 +20,7 @@ fn steps(turn: f64, speed: f64) -> Vec<Se3> {
 }
 
 fn evaluation() -> Evaluation {
-    let map = |factor: f32| Map {
-        height: 6,
-        width: 8,
-        data: (0..48).map(|i| 2.0 + factor * i as f32).collect(),
-    };
+    let map = |factor: f32| Map { height: 6, width: 8, data: (0..48).map(|i| 2.0 + factor * i as f32).collect() };
     let trivial = vec![TrivialDepth::Constant(1.0)];
     let mut depth = DepthTableBuilder::new("dimode", DepthProtocol::default(), trivial).unwrap();
     depth.add(&map(0.3), &map(0.31), None).unwrap();
@@ -33,9 +28,7 @@ fn evaluation() -> Evaluation {
     let mean = MeanMotion::fit(&truth).unwrap();
     let mut motion = MotionTableBuilder::new("dimode", OdometryProtocol::small_world(), Some(mean));
     for name in ["a", "b"] {
-        motion
-            .add_sequence(name, &steps(0.04, 0.1), &Trajectory::accumulate(&truth))
-            .unwrap();
+        motion.add_sequence(name, &steps(0.04, 0.1), &Trajectory::accumulate(&truth)).unwrap();
     }
     Evaluation {
         title: "demo".into(),
@@ -46,25 +39,11 @@ fn evaluation() -> Evaluation {
 }
 
 fn sample_picture() -> SamplePicture {
-    let flow = FlowMap {
-        height: 6,
-        width: 8,
-        u: vec![1.5; 48],
-        v: vec![-0.5; 48],
-    };
-    let depth = Map {
-        height: 6,
-        width: 8,
-        data: (0..48).map(|i| 1.0 + i as f32).collect(),
-    };
+    let flow = FlowMap { height: 6, width: 8, u: vec![1.5; 48], v: vec![-0.5; 48] };
+    let depth = Map { height: 6, width: 8, data: (0..48).map(|i| 1.0 + i as f32).collect() };
     SamplePicture {
         caption: "frame <7>".into(),
-        image: Image {
-            channels: 3,
-            height: 6,
-            width: 8,
-            data: vec![0.4; 144],
-        },
+        image: Image { channels: 3, height: 6, width: 8, data: vec![0.4; 144] },
         predicted_depth: depth.clone(),
         true_depth: Some(depth),
         optical_flow: Some(flow.clone()),
@@ -76,32 +55,16 @@ fn input() -> ReportInput {
     let curve = |name: &str, group| Curve {
         name: name.into(),
         group,
-        points: (0..80)
-            .map(|i| [f64::from(i), 1.0 / (1.0 + f64::from(i))])
-            .collect(),
+        points: (0..80).map(|i| [f64::from(i), 1.0 / (1.0 + f64::from(i))]).collect(),
     };
     let truth = Trajectory::accumulate(&steps(0.05, 0.5));
-    let both = align_trajectory(
-        &Trajectory::accumulate(&steps(0.04, 0.1)),
-        &truth,
-        Alignment::Sim3,
-    )
-    .unwrap();
+    let both = align_trajectory(&Trajectory::accumulate(&steps(0.04, 0.1)), &truth, Alignment::Sim3).unwrap();
     ReportInput {
         title: "Run <script>alert(1)</script> & more".into(),
         command: "dimode train --out \"a b\" && echo <x>".into(),
         config_toml: "name = \"</pre><b>x</b>\"".into(),
         facts: vec![("seed".into(), "7".into())],
-        stage_marks: vec![
-            StageMark {
-                step: 0,
-                label: "stage 1".into(),
-            },
-            StageMark {
-                step: 40,
-                label: "stage 2".into(),
-            },
-        ],
+        stage_marks: vec![StageMark { step: 0, label: "stage 1".into() }, StageMark { step: 40, label: "stage 2".into() }],
         curves: vec![
             curve("l_pho", CurveGroup::Loss),
             curve("valid", CurveGroup::ValidShare),
@@ -150,21 +113,12 @@ fn every_part_is_on_the_page() {
 fn the_page_needs_nothing_from_outside() {
     let page = render_html(&input()).unwrap();
     let without_namespace = page.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
-    for bad in [
-        "http://", "https://", "<script", "<link", "@import", "url(", "src=\"/",
-    ] {
+    for bad in ["http://", "https://", "<script", "<link", "@import", "url(", "src=\"/"] {
         assert!(!without_namespace.contains(bad), "{bad} on the page");
     }
-    let addresses = without_namespace
-        .split("src=\"")
-        .skip(1)
-        .chain(without_namespace.split("href=\"").skip(1));
+    let addresses = without_namespace.split("src=\"").skip(1).chain(without_namespace.split("href=\"").skip(1));
     for address in addresses {
-        assert!(
-            address.starts_with("data:image/png;base64,") || address.starts_with('#'),
-            "{}",
-            &address[..40]
-        );
+        assert!(address.starts_with("data:image/png;base64,") || address.starts_with('#'), "{}", &address[..40]);
     }
 }
 
@@ -172,14 +126,7 @@ fn the_page_needs_nothing_from_outside() {
 fn text_from_outside_is_escaped() {
     let page = render_html(&input()).unwrap();
     assert!(page.contains("Run &lt;script&gt;alert(1)"));
-    for raw in [
-        "<i>markup",
-        "<b>x</b>",
-        "echo <x>",
-        "frame <7>",
-        "<worlds>",
-        "seq & 1",
-    ] {
+    for raw in ["<i>markup", "<b>x</b>", "echo <x>", "frame <7>", "<worlds>", "seq & 1"] {
         assert!(!page.contains(raw), "{raw} is not escaped");
     }
 }
@@ -187,11 +134,7 @@ fn text_from_outside_is_escaped() {
 #[test]
 fn charts_on_the_page_are_well_formed() {
     let page = render_html(&input()).unwrap();
-    let charts: Vec<&str> = page
-        .split("<svg xmlns")
-        .skip(1)
-        .map(|rest| rest.split("</svg>").next().unwrap())
-        .collect();
+    let charts: Vec<&str> = page.split("<svg xmlns").skip(1).map(|rest| rest.split("</svg>").next().unwrap()).collect();
     assert!(charts.len() > 10, "{}", charts.len());
     for chart in charts {
         super::super::svg::tests::assert_well_formed(&format!("<svg xmlns{chart}</svg>"));
@@ -210,9 +153,6 @@ fn the_file_is_written_whole() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("report.html");
     write_report(&path, &input()).unwrap();
-    assert_eq!(
-        std::fs::read_to_string(&path).unwrap(),
-        render_html(&input()).unwrap()
-    );
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), render_html(&input()).unwrap());
     assert!(write_report(&folder.path().join("no/report.html"), &input()).is_err());
 }

@@ -142,18 +142,12 @@ fn seen_from_above(trajectory: &Trajectory) -> Vec<[f64; 2]> {
 impl TrajectoryPlot {
     /// Prediction and truth after [`crate::eval::align_trajectory`] with the alignment named here.
     pub fn aligned(name: &str, alignment: Alignment, both: &AlignedTrajectory) -> Self {
-        let path = |kind, trajectory| PathLine {
-            kind,
-            xz: seen_from_above(trajectory),
-        };
+        let path = |kind, trajectory| PathLine { kind, xz: seen_from_above(trajectory) };
         Self {
             name: name.to_owned(),
             alignment: format!("{} (scale {:.4})", alignment.label(), both.scale),
             metric: true,
-            paths: vec![
-                path(PathKind::Truth, &both.truth),
-                path(PathKind::Predicted, &both.prediction),
-            ],
+            paths: vec![path(PathKind::Truth, &both.truth), path(PathKind::Predicted, &both.prediction)],
         }
     }
 
@@ -163,10 +157,7 @@ impl TrajectoryPlot {
             name: name.to_owned(),
             alignment: "no ground truth, the unit is arbitrary".to_owned(),
             metric: false,
-            paths: vec![PathLine {
-                kind: PathKind::Predicted,
-                xz: seen_from_above(&trajectory.anchored_at_first()),
-            }],
+            paths: vec![PathLine { kind: PathKind::Predicted, xz: seen_from_above(&trajectory.anchored_at_first()) }],
         }
     }
 }

@@ -27,11 +27,7 @@ fn opaque([r, g, b]: Rgb) -> [u8; 4] {
 impl Picture {
     /// A picture from one colour per pixel.
     fn of(height: usize, width: usize, colours: impl Iterator<Item = Rgb>) -> Self {
-        Self {
-            width,
-            height,
-            pixels: colours.map(opaque).collect(),
-        }
+        Self { width, height, pixels: colours.map(opaque).collect() }
     }
 
     /// A camera image; one channel is shown grey, of three or more the first three are shown.
@@ -62,11 +58,7 @@ impl Picture {
         );
         let colour = |(p, g): (&f32, &f32)| {
             let (p, g) = (f64::from(*p) * scale, f64::from(*g));
-            if g > 0.0 {
-                Scale::Spectrum.at((p - g).abs() / g / full)
-            } else {
-                UNKNOWN
-            }
+            if g > 0.0 { Scale::Spectrum.at((p - g).abs() / g / full) } else { UNKNOWN }
         };
         let pairs = prediction.data.iter().zip(&truth.data);
         Self::of(truth.height, truth.width, pairs.map(colour))
@@ -75,11 +67,7 @@ impl Picture {
     /// Flow in pixels, full colour at `full` pixels.
     pub fn from_flow(flow: &FlowMap, full: f64) -> Self {
         let colour = |(u, v): (&f32, &f32)| direction(f64::from(*u) / full, f64::from(*v) / full);
-        Self::of(
-            flow.height,
-            flow.width,
-            flow.u.iter().zip(&flow.v).map(colour),
-        )
+        Self::of(flow.height, flow.width, flow.u.iter().zip(&flow.v).map(colour))
     }
 
     /// The wheel that explains flow colours: a disc of `size` pixels on nothing.
@@ -95,11 +83,7 @@ impl Picture {
                 pixels.push([r, g, b, (255.0 * edge) as u8]);
             }
         }
-        Self {
-            width: size,
-            height: size,
-            pixels,
-        }
+        Self { width: size, height: size, pixels }
     }
 
     /// PNG bytes.
@@ -112,24 +96,10 @@ impl Picture {
         let seen = self.pixels.iter().any(|p| p[3] != 255);
         let result = if seen {
             let samples: Vec<u8> = self.pixels.iter().flatten().copied().collect();
-            PngEncoder::new(&mut bytes).write_image(
-                &samples,
-                width as u32,
-                height as u32,
-                ExtendedColorType::Rgba8,
-            )
+            PngEncoder::new(&mut bytes).write_image(&samples, width as u32, height as u32, ExtendedColorType::Rgba8)
         } else {
-            let samples: Vec<u8> = self
-                .pixels
-                .iter()
-                .flat_map(|p| [p[0], p[1], p[2]])
-                .collect();
-            PngEncoder::new(&mut bytes).write_image(
-                &samples,
-                width as u32,
-                height as u32,
-                ExtendedColorType::Rgb8,
-            )
+            let samples: Vec<u8> = self.pixels.iter().flat_map(|p| [p[0], p[1], p[2]]).collect();
+            PngEncoder::new(&mut bytes).write_image(&samples, width as u32, height as u32, ExtendedColorType::Rgb8)
         };
         result.unwrap_or_else(|error| panic!("Picture::to_png: {width}x{height}: {error}"));
         bytes.into_inner()
@@ -160,10 +130,7 @@ pub(crate) fn depth_range(values: impl Iterator<Item = f64>) -> Option<(f64, f64
 
 /// Length in pixels that gets full colour: the 95 % point over all flows, at least half a pixel.
 pub(crate) fn flow_range(flows: &[&FlowMap]) -> f64 {
-    let lengths = flows
-        .iter()
-        .flat_map(|f| f.u.iter().zip(&f.v))
-        .map(|(u, v)| f64::from(u.hypot(*v)));
+    let lengths = flows.iter().flat_map(|f| f.u.iter().zip(&f.v)).map(|(u, v)| f64::from(u.hypot(*v)));
     let mut lengths: Vec<f64> = lengths.filter(|x| x.is_finite()).collect();
     lengths.sort_unstable_by(f64::total_cmp);
     match lengths.len().checked_sub(1) {
@@ -176,8 +143,7 @@ pub(crate) fn flow_range(flows: &[&FlowMap]) -> f64 {
 pub(crate) fn median_ratio(prediction: &Map, truth: &Map) -> f64 {
     let pairs = prediction.data.iter().zip(&truth.data);
     let known = pairs.filter(|(p, g)| p.is_finite() && g.is_finite() && **p > 0.0 && **g > 0.0);
-    let (mut p, mut g): (Vec<f64>, Vec<f64>) =
-        known.map(|(p, g)| (f64::from(*p), f64::from(*g))).unzip();
+    let (mut p, mut g): (Vec<f64>, Vec<f64>) = known.map(|(p, g)| (f64::from(*p), f64::from(*g))).unzip();
     if p.is_empty() {
         return 1.0;
     }
@@ -189,11 +155,7 @@ mod tests {
     use super::*;
 
     fn map(data: &[f32]) -> Map {
-        Map {
-            height: 1,
-            width: data.len(),
-            data: data.to_vec(),
-        }
+        Map { height: 1, width: data.len(), data: data.to_vec() }
     }
 
     #[test]
@@ -208,36 +170,20 @@ mod tests {
         assert_eq!(back.get_pixel(0, 0).0, Scale::Ember.at(1.0));
         assert_eq!(back.get_pixel(1, 0).0, Scale::Ember.at(0.0));
         assert_eq!(back.get_pixel(2, 0).0, UNKNOWN);
-        assert!(
-            depth
-                .to_data_uri()
-                .starts_with("data:image/png;base64,iVBOR")
-        );
+        assert!(depth.to_data_uri().starts_with("data:image/png;base64,iVBOR"));
     }
 
     #[test]
     fn grey_images_are_shown_grey() {
-        let image = Image {
-            channels: 1,
-            height: 1,
-            width: 2,
-            data: vec![0.0, 0.5],
-        };
-        assert_eq!(
-            Picture::from_image(&image).pixels,
-            vec![[0, 0, 0, 255], [128, 128, 128, 255]]
-        );
+        let image = Image { channels: 1, height: 1, width: 2, data: vec![0.0, 0.5] };
+        assert_eq!(Picture::from_image(&image).pixels, vec![[0, 0, 0, 255], [128, 128, 128, 255]]);
     }
 
     #[test]
     fn depth_error_uses_the_scale() {
-        let picture =
-            Picture::from_depth_error(&map(&[1.0, 1.0, 5.0]), &map(&[2.0, 4.0, 0.0]), 2.0, 0.5);
+        let picture = Picture::from_depth_error(&map(&[1.0, 1.0, 5.0]), &map(&[2.0, 4.0, 0.0]), 2.0, 0.5);
         let colours: Vec<Rgb> = picture.pixels.iter().map(|p| [p[0], p[1], p[2]]).collect();
-        assert_eq!(
-            colours,
-            vec![Scale::Spectrum.at(0.0), Scale::Spectrum.at(1.0), UNKNOWN]
-        );
+        assert_eq!(colours, vec![Scale::Spectrum.at(0.0), Scale::Spectrum.at(1.0), UNKNOWN]);
     }
 
     #[test]
@@ -247,9 +193,6 @@ mod tests {
         assert!((15.0..30.0).contains(&near) && (970.0..990.0).contains(&far));
         assert_eq!(depth_range([0.0].into_iter()), None);
         assert_eq!(flow_range(&[]), 0.5);
-        assert_eq!(
-            median_ratio(&map(&[1.0, 2.0, 3.0]), &map(&[2.0, 4.0, 0.0])),
-            2.0
-        );
+        assert_eq!(median_ratio(&map(&[1.0, 2.0, 3.0]), &map(&[2.0, 4.0, 0.0])), 2.0);
     }
 }

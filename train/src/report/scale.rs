@@ -23,24 +23,12 @@ impl Axis {
         let (low, high) = range.unwrap_or(if log { (0.1, 1.0) } else { (0.0, 1.0) });
         if log {
             let room = (high / low).powf(0.05).max(1.1);
-            return Self {
-                low: low / room,
-                high: high * room,
-                log,
-            };
+            return Self { low: low / room, high: high * room, log };
         }
         let span = high - low;
-        let room = if span > 0.0 {
-            0.05 * span
-        } else {
-            0.5 * low.abs().max(1e-6)
-        };
+        let room = if span > 0.0 { 0.05 * span } else { 0.5 * low.abs().max(1e-6) };
         let keeps_zero = low >= 0.0 && low - room < 0.0;
-        Self {
-            low: if keeps_zero { 0.0 } else { low - room },
-            high: high + room,
-            log,
-        }
+        Self { low: if keeps_zero { 0.0 } else { low - room }, high: high + room, log }
     }
 
     /// Position of a value, 0 at the lower end and 1 at the upper; `None` when the axis cannot show it.
@@ -64,10 +52,7 @@ impl Axis {
             }
         }
         let step = round_step((self.high - self.low) / count.max(1) as f64);
-        let (first, last) = (
-            (self.low / step).ceil() as i64,
-            (self.high / step).floor() as i64,
-        );
+        let (first, last) = ((self.low / step).ceil() as i64, (self.high / step).floor() as i64);
         let values = (first..=last).map(|k| k as f64 * step);
         values.map(|v| (v, label(v, step))).collect()
     }
@@ -97,10 +82,7 @@ impl Axis {
 fn round_step(step: f64) -> f64 {
     let power = 10f64.powf(step.log10().floor());
     let rounds = [1.0, 2.0, 5.0, 10.0].into_iter();
-    rounds
-        .map(|f| f * power)
-        .find(|s| *s >= step * 0.999)
-        .unwrap_or(10.0 * power)
+    rounds.map(|f| f * power).find(|s| *s >= step * 0.999).unwrap_or(10.0 * power)
 }
 
 /// A number with as many decimals as steps of `step` need.
@@ -122,48 +104,23 @@ mod tests {
     use super::*;
 
     fn labels(axis: Axis, count: usize) -> Vec<String> {
-        axis.ticks(count)
-            .into_iter()
-            .map(|(_, text)| text)
-            .collect()
+        axis.ticks(count).into_iter().map(|(_, text)| text).collect()
     }
 
     #[test]
     fn linear_ticks_are_round() {
-        let axis = Axis {
-            low: 0.0,
-            high: 0.93,
-            log: false,
-        };
+        let axis = Axis { low: 0.0, high: 0.93, log: false };
         assert_eq!(labels(axis, 5), ["0", "0.2", "0.4", "0.6", "0.8"]);
-        let axis = Axis {
-            low: -3.2,
-            high: 12.0,
-            log: false,
-        };
+        let axis = Axis { low: -3.2, high: 12.0, log: false };
         assert_eq!(labels(axis, 4), ["0", "5", "10"]);
-        let axis = Axis {
-            low: 0.0,
-            high: 12_000.0,
-            log: false,
-        };
-        assert_eq!(
-            labels(axis, 6),
-            ["0", "2000", "4000", "6000", "8000", "10000", "12000"]
-        );
+        let axis = Axis { low: 0.0, high: 12_000.0, log: false };
+        assert_eq!(labels(axis, 6), ["0", "2000", "4000", "6000", "8000", "10000", "12000"]);
     }
 
     #[test]
     fn log_ticks_adapt_to_the_range() {
-        let axis = |low, high| Axis {
-            low,
-            high,
-            log: true,
-        };
-        assert_eq!(
-            labels(axis(0.008, 1.1), 5),
-            ["0.01", "0.03", "0.1", "0.3", "1"]
-        );
+        let axis = |low, high| Axis { low, high, log: true };
+        assert_eq!(labels(axis(0.008, 1.1), 5), ["0.01", "0.03", "0.1", "0.3", "1"]);
         assert_eq!(labels(axis(0.1, 0.9), 5), ["0.1", "0.2", "0.5"]);
         assert_eq!(labels(axis(0.41, 0.49), 4).len(), 4);
         assert!(labels(axis(1e-12, 1e3), 5).len() <= 7);

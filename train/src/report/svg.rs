@@ -129,11 +129,7 @@ impl Chart {
     fn draw_marks(&self, frame: &Frame, out: &mut String) {
         for (i, mark) in self.marks.iter().enumerate() {
             let end = self.marks.get(i + 1).map_or(frame.x.high, |next| next.x);
-            let clamp = |x: f64| {
-                frame
-                    .x_at(x.clamp(frame.x.low, frame.x.high))
-                    .unwrap_or(frame.left)
-            };
+            let clamp = |x: f64| frame.x_at(x.clamp(frame.x.low, frame.x.high)).unwrap_or(frame.left);
             let (from, to) = (clamp(mark.x), clamp(end));
             if to - from < 0.5 {
                 continue;
@@ -147,11 +143,7 @@ impl Chart {
                 );
             }
             if from > frame.left + 0.5 {
-                let _ = write!(
-                    out,
-                    "<path class=\"mark\" d=\"M{from:.1} {top:.1}V{:.1}\"/>",
-                    frame.bottom
-                );
+                let _ = write!(out, "<path class=\"mark\" d=\"M{from:.1} {top:.1}V{:.1}\"/>", frame.bottom);
             }
             let room = 5.6 * mark.label.chars().count() as f64 + 6.0;
             if to - from > room {
@@ -215,9 +207,7 @@ impl Frame {
         let shown = || points().filter(|p| p.1.is_finite());
         let mut x = Axis::around(shown().map(|p| p.0), false);
         if !chart.equal_units {
-            let ends = shown()
-                .map(|p| p.0)
-                .fold((f64::MAX, f64::MIN), |a, x| (a.0.min(x), a.1.max(x)));
+            let ends = shown().map(|p| p.0).fold((f64::MAX, f64::MIN), |a, x| (a.0.min(x), a.1.max(x)));
             let ends = chart.x_range.unwrap_or(ends);
             if ends.1 > ends.0 {
                 (x.low, x.high) = ends;
@@ -225,20 +215,9 @@ impl Frame {
         }
         let mut y = Axis::around(shown().map(|p| p.1), chart.log_y);
         if let Some((low, high)) = chart.y_range {
-            y = Axis {
-                low,
-                high,
-                log: chart.log_y,
-            };
+            y = Axis { low, high, log: chart.log_y };
         }
-        let mut frame = Self {
-            left: 54.0,
-            right: w - 12.0,
-            top: 16.0,
-            bottom: h - 38.0,
-            x,
-            y,
-        };
+        let mut frame = Self { left: 54.0, right: w - 12.0, top: 16.0, bottom: h - 38.0, x, y };
         if chart.equal_units {
             frame.equalise();
         }
@@ -248,8 +227,7 @@ impl Frame {
     /// Widens one axis so that a unit is equally long on both.
     fn equalise(&mut self) {
         let per_unit = |pixels: f64, axis: &Axis| pixels / (axis.high - axis.low);
-        let scale = per_unit(self.right - self.left, &self.x)
-            .min(per_unit(self.bottom - self.top, &self.y));
+        let scale = per_unit(self.right - self.left, &self.x).min(per_unit(self.bottom - self.top, &self.y));
         let widen = |axis: &mut Axis, pixels: f64| {
             let (middle, half) = (0.5 * (axis.low + axis.high), 0.5 * pixels / scale);
             (axis.low, axis.high) = (middle - half, middle + half);
@@ -281,11 +259,8 @@ fn draw_line(series: &Series, frame: &Frame, out: &mut String) {
     }
     if !path.is_empty() {
         let (colour, stroke) = (series.colour % 8, series.stroke.class());
-        let _ = write!(
-            out,
-            "<path class=\"line c{colour} {stroke}\" d=\"{path}\"><title>{}</title></path>",
-            escape(&series.name)
-        );
+        let _ =
+            write!(out, "<path class=\"line c{colour} {stroke}\" d=\"{path}\"><title>{}</title></path>", escape(&series.name));
     }
 }
 

@@ -17,10 +17,7 @@ pub(crate) fn assert_well_formed(svg: &str) {
         }
         let body = tag.strip_suffix('/').unwrap_or(tag);
         let quotes = body.matches('"').count();
-        assert!(
-            quotes.is_multiple_of(2) && body.matches("=\"").count() * 2 == quotes,
-            "attributes of <{tag}>"
-        );
+        assert!(quotes.is_multiple_of(2) && body.matches("=\"").count() * 2 == quotes, "attributes of <{tag}>");
         for (i, part) in body.split('"').enumerate() {
             if i % 2 == 1 {
                 assert_text(part);
@@ -38,10 +35,7 @@ pub(crate) fn assert_well_formed(svg: &str) {
 fn assert_text(text: &str) {
     for part in text.split('&').skip(1) {
         let entity = part.split(';').next().expect("text after &");
-        assert!(
-            ["amp", "lt", "gt", "quot", "#39"].contains(&entity),
-            "stray & before {part:?}"
-        );
+        assert!(["amp", "lt", "gt", "quot", "#39"].contains(&entity), "stray & before {part:?}");
     }
 }
 
@@ -53,16 +47,7 @@ fn chart() -> Chart {
         stroke: Stroke::Strong,
         points: vec![(0.0, 0.0), (50.0, f64::NAN), (100.0, 1.0), (150.0, 2.0)],
     });
-    chart.marks = vec![
-        Mark {
-            x: 0.0,
-            label: "stage 1".into(),
-        },
-        Mark {
-            x: 60.0,
-            label: "stage 2 & more".into(),
-        },
-    ];
+    chart.marks = vec![Mark { x: 0.0, label: "stage 1".into() }, Mark { x: 60.0, label: "stage 2 & more".into() }];
     chart.dots.push((0.0, 0.0, "start".into()));
     chart
 }
@@ -84,17 +69,8 @@ fn svg_is_well_formed_and_escaped() {
 #[test]
 fn a_line_is_broken_at_values_that_cannot_be_shown() {
     let svg = chart().to_svg();
-    let path = svg
-        .split("strong\" d=\"")
-        .nth(1)
-        .unwrap()
-        .split('"')
-        .next()
-        .unwrap();
-    assert_eq!(
-        (path.matches('M').count(), path.matches('L').count()),
-        (2, 1)
-    );
+    let path = svg.split("strong\" d=\"").nth(1).unwrap().split('"').next().unwrap();
+    assert_eq!((path.matches('M').count(), path.matches('L').count()), (2, 1));
     assert!(path.starts_with("M54.0 192.0"), "{path}");
     let mut log = chart();
     log.log_y = true;

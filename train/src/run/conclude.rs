@@ -7,8 +7,8 @@ use dimode_geometry::{Se3, Trajectory, taped};
 use super::{RunFolder, TrainRequest, TrainedModel, held_out_worlds};
 use crate::data::{Dataset, FlowMap, Frame, Map};
 use crate::eval::{
-    Alignment, DepthProtocol, DepthTableBuilder, Evaluation, MeanDisparity, MeanMotion, MotionTableBuilder,
-    OdometryProtocol, TrivialDepth, align_trajectory, follow,
+    Alignment, DepthProtocol, DepthTableBuilder, Evaluation, MeanDisparity, MeanMotion, MotionTableBuilder, OdometryProtocol,
+    TrivialDepth, align_trajectory, follow,
 };
 use crate::model::stack;
 use crate::progress::Progress;
@@ -94,8 +94,7 @@ fn evaluate(
     held_out: bool,
 ) -> Result<Evaluation> {
     let settings = &request.config.eval;
-    let protocol =
-        DepthProtocol { min_depth: settings.min_depth, max_depth: settings.max_depth, ..DepthProtocol::default() };
+    let protocol = DepthProtocol { min_depth: settings.min_depth, max_depth: settings.max_depth, ..DepthProtocol::default() };
     let means = means(training)?;
     let mut trivial = vec![TrivialDepth::Constant(1.0)];
     trivial.extend(means.0.map(TrivialDepth::MeanDisparity));
@@ -239,10 +238,11 @@ fn path(sequence: &Predicted) -> Result<TrajectoryPlot> {
 
 fn curves(records: &[runlog::StepRecord]) -> Vec<Curve> {
     let mut curves: Vec<Curve> = Vec::new();
-    let mut add = |name: String, group, step: u64, value: f64| match curves.iter_mut().find(|c| c.name == name && c.group == group) {
-        Some(curve) => curve.points.push([step as f64, value]),
-        None => curves.push(Curve { name, group, points: vec![[step as f64, value]] }),
-    };
+    let mut add =
+        |name: String, group, step: u64, value: f64| match curves.iter_mut().find(|c| c.name == name && c.group == group) {
+            Some(curve) => curve.points.push([step as f64, value]),
+            None => curves.push(Curve { name, group, points: vec![[step as f64, value]] }),
+        };
     for record in records {
         for (name, &value) in &record.terms {
             add(name.clone(), CurveGroup::Loss, record.step, value);

@@ -151,7 +151,7 @@ mod tests {
         let pose = |i: usize| {
             let t = i as f64;
             let turn = Vector3::new(0.0, 0.05 * t, 0.0);
-            Se3::from_rotation_vector(turn, scale * Vector3::new((0.3 * t).sin(), 0.1 * (0.7 * t).cos(), t))
+            Se3::from_rotation_vector(&turn, scale * Vector3::new((0.3 * t).sin(), 0.1 * (0.7 * t).cos(), t))
         };
         Trajectory::from_poses((0..20).map(pose))
     }

@@ -13,11 +13,7 @@ const CHECKED_FRAMES: usize = 400;
 
 /// How frames of a folder are loaded for networks of this configuration.
 pub fn load_options(data: &DataConfig) -> LoadOptions {
-    LoadOptions {
-        sequences: data.sequences.clone(),
-        size: Some((data.width, data.height)),
-        ..LoadOptions::default()
-    }
+    LoadOptions { sequences: data.sequences.clone(), size: Some((data.width, data.height)), ..LoadOptions::default() }
 }
 
 /// The frames of a folder at the size of the networks.

@@ -83,12 +83,7 @@ fn put_in_place(staging: &Path, out: &Path) -> Result<(), DataError> {
     fs::rename(staging, out).map_err(|error| DataError::write(out, error))
 }
 
-fn write_all(
-    model: &TrainedModel,
-    dataset: &dyn Dataset,
-    root: &Path,
-    progress: &dyn Progress,
-) -> Result<Vec<SequenceSummary>> {
+fn write_all(model: &TrainedModel, dataset: &dyn Dataset, root: &Path, progress: &dyn Progress) -> Result<Vec<SequenceSummary>> {
     let total: usize = (0..dataset.sequence_count()).map(|s| dataset.sequence_len(s)).sum();
     progress.start(total as u64, "frames");
     let mut done = 0;
@@ -143,7 +138,7 @@ fn write_sequence(
 fn write_depth(model: &TrainedModel, frames: &[&Frame], folder: &Path) -> Result<(), DataError> {
     let range = model.model.range;
     for (frame, depth) in frames.iter().zip(model.depth(frames)) {
-        let name = Path::new(&frame.name).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = &frame.name;
         write_depth_png(&folder.join("depth").join(format!("{name}.png")), &depth)?;
         let (near, far) = spread(&depth.data).unwrap_or((range.min, range.max));
         let picture = Picture::from_depth(&depth, 1.0, near, far);

@@ -58,7 +58,7 @@ pub fn synth(request: &SynthRequest, progress: &dyn Progress) -> Result<SynthSum
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::data::{Dataset, LoadOptions, open};
+    use crate::data::{LoadOptions, open};
     use crate::progress::Recorder;
 
     #[test]

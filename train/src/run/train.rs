@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
+use dimode_autodiff::{Tensor, par};
 use serde_json::{Map, Value, json};
 
 use super::flow_weights::load_flow_weights;
@@ -14,13 +15,14 @@ use crate::checkpoint::{Checkpoint, hash};
 use crate::config::{Config, Decay as DecayConfig};
 use crate::data::Dataset;
 use crate::model::Model;
+use crate::objective::needs_flow;
 use crate::optim::adamw::{Moments, State};
 use crate::optim::schedule::{Decay, learning_rate};
 use crate::progress::Progress;
 use crate::runlog::{RunLog, StepRecord};
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
-use crate::trainer::{StepReport, Trainer};
+use crate::trainer::{StepReport, Trainer, observe_flow};
 
 /// Steps between measurements of each term's gradient.
 const PROBE_EVERY: u64 = 25;
@@ -33,6 +35,10 @@ const PROBE_EVERY: u64 = 25;
 /// When data cannot be read, files cannot be written, the checkpoint does not fit the configuration, or a loss or gradient is
 /// not finite ([`crate::trainer::NonFinite`]); the last checkpoint stays.
 pub fn train(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<TrainOutcome> {
+    par::inside(|| run(request, progress, stop))
+}
+
+fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<TrainOutcome> {
     let config = &request.config;
     let folder = RunFolder::new(&request.out);
     let dataset = training_frames(config)?;
@@ -42,6 +48,8 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool)
     let mut sampler = Sampler::new(lengths, config.seed, config.train.batch, config.train.batch);
     let schedule = Schedule::new(&config.train);
     let steps = config.train.steps;
+    let load = |items: Vec<(usize, usize)>, step| Batch::load(dataset.as_ref(), &items, &config.train, config.seed, step);
+    let mut prepared = None;
     progress.start(steps, "training");
     while step < steps {
         let began = Instant::now();
@@ -49,11 +57,27 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool)
         if step == 0 || schedule.stage(step - 1).0 != index {
             progress.note(&format!("step {step}: stage {}", stage.name));
         }
-        let items = sampler.batch(step as usize);
-        let batch = Batch::load(dataset.as_ref(), &items, &config.train, config.seed, step)?;
+        let Prepared { batch, flow } = match prepared.take() {
+            Some(ready) => ready,
+            None => Prepared { batch: load(sampler.batch(step as usize), step)?, flow: None },
+        };
         let rate = rate_of(config, step);
         let probe = step.is_multiple_of(PROBE_EVERY);
-        let report = trainer.step(&batch, stage, step, rate, probe)?;
+        let next = (step + 1 < steps).then(|| sampler.batch(step as usize + 1));
+        // A network that is not trained in this step or the next can already look at the next batch.
+        let looks = !stage.train_flow && needs_flow(&config.loss, schedule.stage(step + 1).1);
+        let eyes = looks.then(|| (trainer.model.clone(), trainer.weights.flow.clone(), trainer.pool().clone()));
+        let (report, upcoming) = par::join(
+            || trainer.step(&batch, flow.as_ref(), stage, step, rate, probe),
+            || -> Result<Option<Prepared>> {
+                let Some(items) = next else { return Ok(None) };
+                let batch = load(items, step + 1)?;
+                let flow = eyes.map(|(model, weights, pool)| observe_flow(&model, &weights, &batch, &pool));
+                Ok(Some(Prepared { batch, flow }))
+            },
+        );
+        let report = report?;
+        prepared = upcoming?;
         step += 1;
         log.append(&record(step, &stage.name, &report, rate, began.elapsed().as_secs_f64()))?;
         progress.step(step, &message(&report));
@@ -70,6 +94,12 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool)
     let Trainer { model, weights, .. } = trainer;
     let trained = TrainedModel { config: config.clone(), model, weights };
     finish(request, &folder, dataset.as_ref(), &trained, progress)
+}
+
+/// A batch that was made while the step before it was taken.
+struct Prepared {
+    batch: Batch,
+    flow: Option<Tensor<f32>>,
 }
 
 /// Fresh networks, or those of the checkpoint; and the number of steps done.
@@ -142,8 +172,7 @@ fn record(step: u64, stage: &str, report: &StepReport, rate: f64, seconds: f64) 
         record.terms.insert(term.name.clone(), term.value);
         record.valid.insert(term.name.clone(), term.valid);
         if let Some(g) = term.gradients {
-            let parts =
-                [("disparity", g.disparity), ("rotation", g.rotation), ("t_tan", g.tangential), ("t_rad", g.radial)];
+            let parts = [("disparity", g.disparity), ("rotation", g.rotation), ("t_tan", g.tangential), ("t_rad", g.radial)];
             for (part, norm) in parts {
                 record.gradient_norms.insert(format!("{}/{part}", term.name), norm);
             }
@@ -172,10 +201,5 @@ fn finish(
     let concluded = conclude::conclude(request, folder, dataset, trained, progress)?;
     let table = concluded.evaluation.render_table();
     let metrics: Value = serde_json::to_value(&concluded.evaluation)?;
-    Ok(TrainOutcome::Finished {
-        table,
-        metrics,
-        report: folder.report(),
-        checkpoint_hash: hash(&folder.checkpoint())?,
-    })
+    Ok(TrainOutcome::Finished { table, metrics, report: folder.report(), checkpoint_hash: hash(&folder.checkpoint())? })
 }

@@ -22,7 +22,19 @@ fn place(count: usize) -> Place {
 
 impl Place {
     fn train(&self) -> Ran {
-        dimode(&["train", "--data", text(&self.data), "--size", "64x32", "--steps", "1", "--batch", "1", "--out", text(&self.out)])
+        dimode(&[
+            "train",
+            "--data",
+            text(&self.data),
+            "--size",
+            "64x64",
+            "--steps",
+            "1",
+            "--batch",
+            "1",
+            "--out",
+            text(&self.out),
+        ])
     }
 
     #[track_caller]
@@ -57,7 +69,7 @@ fn one_frame() {
 fn frames_of_different_sizes() {
     let place = place(3);
     write_rgb_png(&place.data.join("000001.png"), &Image::zeros(3, 16, 64)).unwrap();
-    place.refused(&["000001.png", "64x16", "64x32"]);
+    place.refused(&["000001.png", "64x16", "64x64"]);
 }
 
 #[test]
@@ -80,13 +92,13 @@ fn poses_that_are_not_finite() {
 fn poses_that_are_no_rotations() {
     let place = place(3);
     place.write("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1 1\n1 0.5 0 0 0 1 0 0 0 0 1 2\n");
-    place.refused(&["poses.txt:3", "rotation"]);
+    place.refused(&["poses.txt:3", "R^T R"]);
 }
 
 #[test]
 fn a_focal_length_of_zero() {
     let place = place(3);
-    place.write("intrinsics.txt", "0 48 31.5 15.5\n");
+    place.write("intrinsics.txt", "0 48 31.5 31.5\n");
     place.refused(&["intrinsics.txt"]);
 }
 
@@ -134,9 +146,7 @@ fn resuming_what_is_no_run_or_a_damaged_one() {
 #[test]
 fn predictions_need_a_run_data_and_a_free_place() {
     let place = place(3);
-    let infer = |run: &Path, out: &Path| {
-        dimode(&["infer", "--run", text(run), "--data", text(&place.data), "--out", text(out)])
-    };
+    let infer = |run: &Path, out: &Path| dimode(&["infer", "--run", text(run), "--data", text(&place.data), "--out", text(out)]);
     infer(&place.data, &place.out).refused(2, &["no run found"]);
     infer(&place.data, &place.data).refused(2, &["not empty"]);
     assert!(!place.out.exists());

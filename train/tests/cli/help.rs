@@ -14,14 +14,7 @@ fn the_top_teaches_the_commands_and_exit_codes() {
 
 #[test]
 fn every_command_has_examples() {
-    for words in [
-        &["train"][..],
-        &["eval", "depth"],
-        &["eval", "odometry"],
-        &["infer"],
-        &["synth"],
-        &["pretrain", "flow"],
-    ] {
+    for words in [&["train"][..], &["eval", "depth"], &["eval", "odometry"], &["infer"], &["synth"], &["pretrain", "flow"]] {
         let help = dimode(&[words, &["--help"]].concat()).succeeded();
         assert!(help.contains("Examples:\n"), "{words:?}: {help}");
         assert!(help.contains(&format!("dimode {}", words.join(" "))), "{words:?}: {help}");
@@ -32,7 +25,10 @@ fn every_command_has_examples() {
 #[test]
 fn train_help_names_its_main_flags() {
     let help = dimode(&["train", "--help"]).succeeded();
-    for flag in ["--config", "--data", "--preset", "--quick", "--steps", "--batch", "--seed", "--stages", "--out", "--resume", "--json", "--size", "--loss"] {
+    for flag in [
+        "--config", "--data", "--preset", "--quick", "--steps", "--batch", "--seed", "--stages", "--out", "--resume", "--json",
+        "--size", "--loss",
+    ] {
         assert!(help.contains(flag), "{flag}");
     }
 }

@@ -5,6 +5,7 @@ mod evaluation;
 mod help;
 mod settings;
 mod synth;
+mod training;
 
 use std::fs;
 use std::path::Path;
@@ -65,10 +66,10 @@ fn frames(folder: &Path, count: usize) {
     fs::create_dir_all(folder).unwrap();
     for i in 0..count {
         let colour = |c, v, u| ((c + v * 3 + u * 5 + i) % 17) as f32 / 17.0;
-        let image = dimode::data::Image::from_fn(3, 32, 64, colour);
+        let image = dimode::data::Image::from_fn(3, 64, 64, colour);
         dimode::data::write_rgb_png(&folder.join(format!("{i:06}.png")), &image).unwrap();
     }
-    fs::write(folder.join("intrinsics.txt"), "48 48 31.5 15.5\n").unwrap();
+    fs::write(folder.join("intrinsics.txt"), "48 48 31.5 31.5\n").unwrap();
 }
 
 fn text(path: &Path) -> &str {

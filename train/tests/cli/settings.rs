@@ -35,7 +35,7 @@ fn unknown_keys_are_refused_with_the_nearest_known_one() {
 #[test]
 fn values_out_of_range_are_refused() {
     dimode(&["train", "--steps", "0", "--print-config"]).refused(2, &["train.steps = 0"]);
-    dimode(&["train", "--size", "100x64", "--print-config"]).refused(2, &["data.width = 100", "multiple of 16"]);
+    dimode(&["train", "--size", "100x64", "--print-config"]).refused(2, &["data.width = 100", "multiple of 32"]);
     dimode(&["train", "--stages", "1,7", "--print-config"]).refused(2, &["train.only_stages"]);
     dimode(&["train", "--set", "train.warmpu=3", "--print-config"]).refused(2, &["did you mean 'warmup'?"]);
 }

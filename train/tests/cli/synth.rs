@@ -44,7 +44,9 @@ fn the_layout_is_that_of_kitti_odometry() {
     let summary = synth(&out, &["--json", "--night", "--noise", "0.05", "--moving-object", "--exposure", "0.2"]).succeeded();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
     assert_eq!((summary["sequences"].as_u64(), summary["frames"].as_u64()), (Some(1), Some(3)));
-    for file in ["sequences/00/image_2/000002.png", "sequences/00/calib.txt", "poses/00.txt", "depth/00/000000.png", "flow/00/000000.png"] {
+    for file in
+        ["sequences/00/image_2/000002.png", "sequences/00/calib.txt", "poses/00.txt", "depth/00/000000.png", "flow/00/000000.png"]
+    {
         assert!(out.join(file).is_file(), "{file}");
     }
 }

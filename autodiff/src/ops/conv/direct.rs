@@ -125,9 +125,9 @@ fn tile<T: Scalar, S: Simd, const O: usize, const V: usize>(d: &mut Direct<'_, T
         }
     }
     let pitch = d.out.len() / O;
-    for o in 0..O {
-        for v in 0..V {
-            T::store::<S>(&mut d.out[o * pitch + pos + v * lanes..], acc[o][v]);
+    for (row, acc) in d.out.chunks_exact_mut(pitch).zip(acc) {
+        for (v, r) in acc.into_iter().enumerate() {
+            T::store::<S>(&mut row[pos + v * lanes..], r);
         }
     }
 }

@@ -50,7 +50,13 @@ impl<T: Scalar> WithSimd for Run<'_, '_, T> {
         let mut at = 0;
         while at < count {
             let left = count - at;
-            let step = if left >= PAIRS { PAIRS } else if left >= 3 { 3 } else { 1 };
+            let step = if left >= PAIRS {
+                PAIRS
+            } else if left >= 3 {
+                3
+            } else {
+                1
+            };
             match (self.task.outputs, step) {
                 (4, 6) => block::<T, S, 4, 6>(&self.task, simd, at, self.sums),
                 (4, 3) => block::<T, S, 4, 3>(&self.task, simd, at, self.sums),

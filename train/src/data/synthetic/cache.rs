@@ -20,14 +20,7 @@ struct State<K, V> {
 impl<K: Ord + Copy, V> Cache<K, V> {
     /// An empty cache for at least one value.
     pub fn new(capacity: usize) -> Self {
-        Self {
-            capacity: capacity.max(1),
-            state: Mutex::new(State {
-                clock: 0,
-                values: BTreeMap::new(),
-                order: BTreeMap::new(),
-            }),
-        }
+        Self { capacity: capacity.max(1), state: Mutex::new(State { clock: 0, values: BTreeMap::new(), order: BTreeMap::new() }) }
     }
 
     /// The value of a key, made by `make` when it is not there. Two threads may make the same value at the same time; `make`
@@ -88,11 +81,7 @@ mod tests {
         let get = |key: u32| *cache.get_or_make(key, || key * 10);
         assert_eq!((get(1), get(2), get(1), get(3)), (10, 20, 10, 30));
         assert_eq!(cache.len(), 2);
-        assert_eq!(
-            *cache.get_or_make(1, || 99),
-            10,
-            "1 was used after 2 and is still there"
-        );
+        assert_eq!(*cache.get_or_make(1, || 99), 10, "1 was used after 2 and is still there");
         assert_eq!(*cache.get_or_make(2, || 99), 99, "2 was forgotten");
         assert_eq!(cache.len(), 2);
     }

@@ -45,14 +45,11 @@ impl FromStr for Preset {
     type Err = DataError;
 
     fn from_str(text: &str) -> Result<Self, DataError> {
-        Self::ALL
-            .into_iter()
-            .find(|preset| preset.name() == text)
-            .ok_or_else(|| DataError::Option {
-                option: "preset",
-                value: text.to_owned(),
-                reason: "no such preset; use street, handheld or lateral".to_owned(),
-            })
+        Self::ALL.into_iter().find(|preset| preset.name() == text).ok_or_else(|| DataError::Option {
+            option: "preset",
+            value: text.to_owned(),
+            reason: "no such preset; use street, handheld or lateral".to_owned(),
+        })
     }
 }
 
@@ -128,11 +125,7 @@ impl Default for SyntheticConfig {
 
 /// An error about one option.
 fn refuse(option: &'static str, value: String, reason: &str) -> Result<(), DataError> {
-    Err(DataError::Option {
-        option,
-        value,
-        reason: reason.to_owned(),
-    })
+    Err(DataError::Option { option, value, reason: reason.to_owned() })
 }
 
 impl SyntheticConfig {
@@ -162,35 +155,18 @@ impl SyntheticConfig {
     pub fn validate(&self) -> Result<(), DataError> {
         for (option, size) in [("width", self.width), ("height", self.height)] {
             if !(16..=4096).contains(&size) {
-                return refuse(
-                    option,
-                    size.to_string(),
-                    "a frame has 16 to 4096 pixels a side",
-                );
+                return refuse(option, size.to_string(), "a frame has 16 to 4096 pixels a side");
             }
         }
         if self.sequences == 0 {
-            return refuse(
-                "sequences",
-                "0".to_owned(),
-                "at least one sequence is needed",
-            );
+            return refuse("sequences", "0".to_owned(), "at least one sequence is needed");
         }
         if !(1..=5000).contains(&self.frames) {
-            return refuse(
-                "frames",
-                self.frames.to_string(),
-                "a sequence has 1 to 5000 frames",
-            );
+            return refuse("frames", self.frames.to_string(), "a sequence has 1 to 5000 frames");
         }
-        for (option, value, limit) in [("noise", self.noise, 0.5), ("exposure", self.exposure, 1.0)]
-        {
+        for (option, value, limit) in [("noise", self.noise, 0.5), ("exposure", self.exposure, 1.0)] {
             if !(0.0..=limit).contains(&value) {
-                return refuse(
-                    option,
-                    value.to_string(),
-                    &format!("use a number from 0 to {limit}"),
-                );
+                return refuse(option, value.to_string(), &format!("use a number from 0 to {limit}"));
             }
         }
         self.validate_principal_offset()
@@ -200,8 +176,7 @@ impl SyntheticConfig {
         let limits = [0.25 * self.width as f64, 0.25 * self.height as f64];
         for (value, limit) in self.principal_offset.into_iter().zip(limits) {
             if value.is_nan() || value.abs() > limit {
-                let reason =
-                    "the principal point stays within a quarter of the image from its centre";
+                let reason = "the principal point stays within a quarter of the image from its centre";
                 return refuse("principal_offset", value.to_string(), reason);
             }
         }
@@ -216,13 +191,8 @@ mod tests {
     #[test]
     fn splits_share_no_world_seed_and_worlds_differ() {
         let train = SyntheticConfig::default();
-        let held_out = SyntheticConfig {
-            split: Split::HeldOut,
-            ..train.clone()
-        };
-        let mut seeds: Vec<u64> = (0..1000)
-            .flat_map(|s| [train.world_seed(s), held_out.world_seed(s)])
-            .collect();
+        let held_out = SyntheticConfig { split: Split::HeldOut, ..train.clone() };
+        let mut seeds: Vec<u64> = (0..1000).flat_map(|s| [train.world_seed(s), held_out.world_seed(s)]).collect();
         assert!((0..1000).all(|s| train.world_seed(s) & 1 == 0 && held_out.world_seed(s) & 1 == 1));
         seeds.sort_unstable();
         seeds.dedup();

@@ -56,32 +56,19 @@ impl SyntheticDataset {
     /// **Errors** when there is no such sequence or frame.
     pub fn moving_mask(&self, sequence: usize, frame: usize) -> Result<Vec<bool>, DataError> {
         self.check(sequence, frame)?;
-        Ok(truth::moving_mask(
-            &self.world(sequence),
-            &self.intrinsics,
-            frame,
-        ))
+        Ok(truth::moving_mask(&self.world(sequence), &self.intrinsics, frame))
     }
 
     /// The world of a sequence.
     pub(super) fn world(&self, sequence: usize) -> Arc<World> {
-        self.worlds
-            .get_or_make(sequence, || World::new(&self.config, sequence))
+        self.worlds.get_or_make(sequence, || World::new(&self.config, sequence))
     }
 
     fn check(&self, sequence: usize, frame: usize) -> Result<(), DataError> {
-        let limits = [
-            ("sequence", sequence, self.config.sequences),
-            ("frame", frame, self.config.frames),
-        ];
+        let limits = [("sequence", sequence, self.config.sequences), ("frame", frame, self.config.frames)];
         for (what, index, len) in limits {
             if index >= len {
-                return Err(DataError::OutOfRange {
-                    dataset: self.name(),
-                    what,
-                    index,
-                    len,
-                });
+                return Err(DataError::OutOfRange { dataset: self.name(), what, index, len });
             }
         }
         Ok(())
@@ -106,12 +93,7 @@ impl SyntheticDataset {
 
 impl Dataset for SyntheticDataset {
     fn name(&self) -> String {
-        format!(
-            "synthetic-{}-{}-{}",
-            self.config.preset,
-            self.config.split.name(),
-            self.config.seed
-        )
+        format!("synthetic-{}-{}-{}", self.config.preset, self.config.split.name(), self.config.seed)
     }
 
     fn sequence_count(&self) -> usize {
@@ -140,25 +122,13 @@ impl Dataset for SyntheticDataset {
 
     fn frame(&self, sequence: usize, frame: usize) -> Result<Arc<Frame>, DataError> {
         self.check(sequence, frame)?;
-        Ok(self
-            .frames
-            .get_or_make((sequence, frame), || self.render(sequence, frame)))
+        Ok(self.frames.get_or_make((sequence, frame), || self.render(sequence, frame)))
     }
 
-    fn pair_truth(
-        &self,
-        sequence: usize,
-        target_frame: usize,
-        source_frame: usize,
-    ) -> Result<Option<PairTruth>, DataError> {
+    fn pair_truth(&self, sequence: usize, target_frame: usize, source_frame: usize) -> Result<Option<PairTruth>, DataError> {
         self.check(sequence, target_frame)?;
         self.check(sequence, source_frame)?;
         let world = self.world(sequence);
-        Ok(Some(truth::pair_truth(
-            &world,
-            &self.intrinsics,
-            target_frame,
-            source_frame,
-        )))
+        Ok(Some(truth::pair_truth(&world, &self.intrinsics, target_frame, source_frame)))
     }
 }

@@ -36,10 +36,7 @@ pub struct Placement {
 impl Placement {
     /// Upright, turned by `yaw` (radians, from +z towards +x).
     pub fn upright(position: Vector3<f64>, yaw: f64) -> Self {
-        Self {
-            rotation: rotation_y(yaw),
-            position,
-        }
+        Self { rotation: rotation_y(yaw), position }
     }
 }
 
@@ -73,21 +70,8 @@ impl Mesh {
         let normal = raw.normalize() * raw.dot(&outward).signum();
         let along = edge_s.normalize();
         let across = normal.cross(&along);
-        let texture = [
-            shift,
-            Vector2::new(edge_s.norm(), 0.0),
-            Vector2::new(edge_t.dot(&along), edge_t.dot(&across).abs()),
-        ];
-        self.faces.push(Face {
-            origin,
-            edge_s,
-            edge_t,
-            normal,
-            limit,
-            texture,
-            material,
-            moving: false,
-        });
+        let texture = [shift, Vector2::new(edge_s.norm(), 0.0), Vector2::new(edge_t.dot(&along), edge_t.dot(&across).abs())];
+        self.faces.push(Face { origin, edge_s, edge_t, normal, limit, texture, material, moving: false });
     }
 
     /// A parallelogram seen from the side to which `outward` points.
@@ -102,26 +86,13 @@ impl Mesh {
     }
 
     /// A triangle with the given corners, seen from the side to which `outward` points.
-    pub fn triangle(
-        &mut self,
-        [a, b, c]: [Vector3<f64>; 3],
-        outward: Vector3<f64>,
-        shift: Vector2<f64>,
-        material: usize,
-    ) {
+    pub fn triangle(&mut self, [a, b, c]: [Vector3<f64>; 3], outward: Vector3<f64>, shift: Vector2<f64>, material: usize) {
         self.add(a, b - a, c - a, outward, 1.0, shift, material);
     }
 
     /// A box with half sizes `half` around its local origin: four sides and top in `materials[0]` and `materials[1]`, and
     /// the underside as the top when `closed`.
-    pub fn solid_box(
-        &mut self,
-        place: &Placement,
-        half: Vector3<f64>,
-        materials: [usize; 2],
-        shift: Vector2<f64>,
-        closed: bool,
-    ) {
+    pub fn solid_box(&mut self, place: &Placement, half: Vector3<f64>, materials: [usize; 2], shift: Vector2<f64>, closed: bool) {
         let axis = |i: usize| place.rotation.column(i).into_owned() * half[i];
         let (x, y, z) = (axis(0), axis(1), axis(2));
         // (outward half axis, edge s, edge t = down where there is a down, material)
@@ -142,15 +113,7 @@ impl Mesh {
     }
 
     /// An upright prism with `sides` faces around its local y axis, radius `radius`, from y = -height to y = 0.
-    pub fn prism(
-        &mut self,
-        place: &Placement,
-        radius: f64,
-        height: f64,
-        sides: usize,
-        material: usize,
-        shift: Vector2<f64>,
-    ) {
+    pub fn prism(&mut self, place: &Placement, radius: f64, height: f64, sides: usize, material: usize, shift: Vector2<f64>) {
         let up = place.rotation.column(1).into_owned() * -height;
         let rim = |i: usize| {
             let (s, c) = (std::f64::consts::TAU * i as f64 / sides as f64).sin_cos();
@@ -167,15 +130,7 @@ impl Mesh {
     }
 
     /// An upright cone or pyramid with `sides` faces, base radius `radius` at y = 0, tip at y = -height.
-    pub fn cone(
-        &mut self,
-        place: &Placement,
-        radius: f64,
-        height: f64,
-        sides: usize,
-        material: usize,
-        shift: Vector2<f64>,
-    ) {
+    pub fn cone(&mut self, place: &Placement, radius: f64, height: f64, sides: usize, material: usize, shift: Vector2<f64>) {
         let tip = place.position - place.rotation.column(1).into_owned() * height;
         let rim = |i: usize| {
             let (s, c) = (std::f64::consts::TAU * i as f64 / sides as f64).sin_cos();
@@ -191,14 +146,7 @@ impl Mesh {
     }
 
     /// An ellipsoid of flat triangles around its local origin, half sizes `half`: an octahedron refined `refine` times.
-    pub fn ball(
-        &mut self,
-        place: &Placement,
-        half: Vector3<f64>,
-        refine: usize,
-        material: usize,
-        shift: Vector2<f64>,
-    ) {
+    pub fn ball(&mut self, place: &Placement, half: Vector3<f64>, refine: usize, material: usize, shift: Vector2<f64>) {
         let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
         let mut triangles = Vec::new();
         for (sx, sy, sz) in (0..8).map(|i| (i & 1, i >> 1 & 1, i >> 2 & 1)) {
@@ -243,18 +191,11 @@ mod tests {
         meshes[1].prism(&place, 0.5, 2.0, 7, 0, shift);
         meshes[2].ball(&place, Vector3::new(1.0, 0.5, 2.0), 2, 0, shift);
         for mesh in meshes {
-            let area =
-                |f: &Face| f.edge_s.cross(&f.edge_t).norm() * if f.limit < 1.5 { 0.5 } else { 1.0 };
+            let area = |f: &Face| f.edge_s.cross(&f.edge_t).norm() * if f.limit < 1.5 { 0.5 } else { 1.0 };
             let sum: Vector3<f64> = mesh.faces.iter().map(|f| f.normal * area(f)).sum();
-            assert!(
-                sum.norm() < 1e-9,
-                "the normals of a closed solid cancel: {sum}"
-            );
+            assert!(sum.norm() < 1e-9, "the normals of a closed solid cancel: {sum}");
             let centre = place.position;
-            let inward = mesh
-                .faces
-                .iter()
-                .filter(|f| (f.origin - centre).dot(&f.normal) < -1e-9);
+            let inward = mesh.faces.iter().filter(|f| (f.origin - centre).dot(&f.normal) < -1e-9);
             assert_eq!(inward.count(), 0);
         }
     }

@@ -34,11 +34,7 @@ pub fn build(seed: u64, frames: usize, moving_object: bool) -> Scene {
     let reach = Vector3::new(0.38 * half.x, 0.5, 0.38 * half.y);
     let poses = trajectory::walk(&mut draw, frames, reach);
     let floor = draw.range(1.4, 2.0);
-    let top = if open {
-        -draw.range(5.0, 7.5)
-    } else {
-        -draw.range(1.4, 2.6)
-    };
+    let top = if open { -draw.range(5.0, 7.5) } else { -draw.range(1.4, 2.6) };
     let mut scene = Scene::new(poses);
     let skins = (0..14)
         .map(|_| {
@@ -46,15 +42,7 @@ pub fn build(seed: u64, frames: usize, moving_object: bool) -> Scene {
             scene.material(material::object(&mut draw, size))
         })
         .collect();
-    let mut room = Room {
-        scene,
-        draw,
-        half,
-        floor,
-        top,
-        open,
-        skins,
-    };
+    let mut room = Room { scene, draw, half, floor, top, open, skins };
     room.shell();
     room.furniture();
     if moving_object {
@@ -80,10 +68,7 @@ impl Room {
     /// Floor, ceiling and walls; each wall of one to three panels.
     fn shell(&mut self) {
         let (x, z) = (self.half.x, self.half.y);
-        let edges = [
-            Vector3::new(2.0 * x, 0.0, 0.0),
-            Vector3::new(0.0, 0.0, 2.0 * z),
-        ];
+        let edges = [Vector3::new(2.0 * x, 0.0, 0.0), Vector3::new(0.0, 0.0, 2.0 * z)];
         let mut levels = vec![(self.floor, -1.0)];
         if !self.open {
             levels.push((self.top, 1.0));
@@ -91,12 +76,7 @@ impl Room {
         for (level, up) in levels {
             let (material, shift) = (self.interior(), self.shift());
             let corner = Vector3::new(-x, level, -z);
-            self.scene.mesh.quad(
-                [corner, edges[0], edges[1]],
-                Vector3::y() * up,
-                shift,
-                material,
-            );
+            self.scene.mesh.quad([corner, edges[0], edges[1]], Vector3::y() * up, shift, material);
         }
         for quarter in 0..4 {
             let turn = rotation_y(std::f64::consts::FRAC_PI_2 * quarter as f64);
@@ -106,27 +86,16 @@ impl Room {
                 let width = 2.0 * wide / panels as f64;
                 let corner = turn * Vector3::new(-wide + width * panel as f64, 0.0, away);
                 let corner = Vector3::new(corner.x, self.top, corner.z);
-                let sides = [
-                    turn * Vector3::new(width, 0.0, 0.0),
-                    Vector3::new(0.0, self.floor - self.top, 0.0),
-                ];
+                let sides = [turn * Vector3::new(width, 0.0, 0.0), Vector3::new(0.0, self.floor - self.top, 0.0)];
                 let (material, shift) = (self.interior(), self.shift());
-                self.scene.mesh.quad(
-                    [corner, sides[0], sides[1]],
-                    turn * -Vector3::z(),
-                    shift,
-                    material,
-                );
+                self.scene.mesh.quad([corner, sides[0], sides[1]], turn * -Vector3::z(), shift, material);
             }
         }
     }
 
     /// Whether a ball stays clear of every camera position.
     fn is_free(&self, centre: Vector3<f64>, radius: f64) -> bool {
-        self.scene
-            .poses
-            .iter()
-            .all(|pose| (pose.translation - centre).norm() >= radius + CLEARANCE)
+        self.scene.poses.iter().all(|pose| (pose.translation - centre).norm() >= radius + CLEARANCE)
     }
 
     /// Boxes, prisms, balls and cones of many sizes: on the floor, on the walls, hanging, tilted.
@@ -141,11 +110,7 @@ impl Room {
                 self.half.y * self.draw.range(-0.97, 0.97),
             );
             let standing = self.draw.chance(0.4);
-            let y = if standing {
-                self.floor - half.y
-            } else {
-                position.y
-            };
+            let y = if standing { self.floor - half.y } else { position.y };
             let centre = Vector3::new(position.x, y, position.z);
             if self.is_free(centre, half.norm()) {
                 self.thing(centre, half, standing);
@@ -159,18 +124,11 @@ impl Room {
         let tilted = !standing && self.draw.chance(0.6);
         let tilt = if tilted { 0.8 } else { 0.0 };
         let place = Placement {
-            rotation: orientation(
-                yaw,
-                tilt * self.draw.range(-1.0, 1.0),
-                tilt * self.draw.range(-1.0, 1.0),
-            ),
+            rotation: orientation(yaw, tilt * self.draw.range(-1.0, 1.0), tilt * self.draw.range(-1.0, 1.0)),
             position: centre,
         };
         let (skin, other, shift) = (self.skin(), self.skin(), self.shift());
-        let below = Placement {
-            position: centre + place.rotation * Vector3::new(0.0, half.y, 0.0),
-            ..place
-        };
+        let below = Placement { position: centre + place.rotation * Vector3::new(0.0, half.y, 0.0), ..place };
         let mesh = &mut self.scene.mesh;
         match self.draw.index(8) {
             0..=4 => mesh.solid_box(&place, half, [skin, other], shift, true),
@@ -186,15 +144,11 @@ impl Room {
             let radius = self.draw.range(0.06, 0.3);
             let x = self.half.x * self.draw.range(-0.95, 0.95);
             let z = self.half.y * self.draw.range(-0.95, 0.95);
-            let far = |pose: &Se3| {
-                (pose.translation.x - x).hypot(pose.translation.z - z) >= radius + CLEARANCE
-            };
+            let far = |pose: &Se3| (pose.translation.x - x).hypot(pose.translation.z - z) >= radius + CLEARANCE;
             if self.scene.poses.iter().all(far) {
                 let (skin, shift) = (self.skin(), self.shift());
                 let place = Placement::upright(Vector3::new(x, self.floor, z), self.draw.unit());
-                self.scene
-                    .mesh
-                    .prism(&place, radius, self.floor - self.top, 10, skin, shift);
+                self.scene.mesh.prism(&place, radius, self.floor - self.top, 10, skin, shift);
             }
         }
     }
@@ -207,11 +161,7 @@ impl Room {
         let mut home = Vector3::new(0.8 * self.half.x, 0.0, 0.8 * self.half.y);
         for _ in 0..200 {
             let room = [self.half.x - 0.9, self.half.y - 0.9];
-            let candidate = Vector3::new(
-                room[0] * self.draw.range(-1.0, 1.0),
-                0.0,
-                room[1] * self.draw.range(-1.0, 1.0),
-            );
+            let candidate = Vector3::new(room[0] * self.draw.range(-1.0, 1.0), 0.0, room[1] * self.draw.range(-1.0, 1.0));
             if self.is_free(candidate, reach) {
                 home = candidate;
                 break;
@@ -220,9 +170,7 @@ impl Room {
         let first = self.scene.mesh.faces.len();
         let (skin, other, shift) = (self.skin(), self.skin(), self.shift());
         let place = Placement::upright(Vector3::zeros(), 0.0);
-        self.scene
-            .mesh
-            .solid_box(&place, half, [skin, other], shift, true);
+        self.scene.mesh.solid_box(&place, half, [skin, other], shift, true);
         for face in &mut self.scene.mesh.faces[first..] {
             face.moving = true;
         }

@@ -33,21 +33,10 @@ pub fn build(seed: u64, frames: usize, moving_object: bool) -> Scene {
             scene.material(material::object(&mut draw, size))
         })
         .collect();
-    let walls = (0..6)
-        .map(|_| scene.material(material::facade(&mut draw)))
-        .collect();
-    let leaves = (0..3)
-        .map(|_| scene.material(material::foliage(&mut draw)))
-        .collect();
+    let walls = (0..6).map(|_| scene.material(material::facade(&mut draw))).collect();
+    let leaves = (0..3).map(|_| scene.material(material::foliage(&mut draw))).collect();
     let span = [end.min(0.0), end.max(0.0)];
-    let mut stage = Stage {
-        scene,
-        draw,
-        span,
-        skins,
-        walls,
-        leaves,
-    };
+    let mut stage = Stage { scene, draw, span, skins, walls, leaves };
     stage.ground();
     stage.back();
     stage.things();
@@ -68,54 +57,27 @@ impl Stage {
 
     fn ground(&mut self) {
         let mut look = material::open_ground(&mut self.draw);
-        look.octaves.extend(
-            material::Grain::new(1.0, 0.2, 0.12)
-                .stretched(1.0, 8.0)
-                .octaves(&mut self.draw),
-        );
+        look.octaves.extend(material::Grain::new(1.0, 0.2, 0.12).stretched(1.0, 8.0).octaves(&mut self.draw));
         let (material, shift) = (self.scene.material(look), self.shift());
         let corner = Vector3::new(self.span[0] - 50.0, 0.0, -3.0);
-        let edges = [
-            Vector3::new(self.span[1] - self.span[0] + 100.0, 0.0, 0.0),
-            Vector3::new(0.0, 0.0, 40.0),
-        ];
-        self.scene
-            .mesh
-            .quad([corner, edges[0], edges[1]], -Vector3::y(), shift, material);
+        let edges = [Vector3::new(self.span[1] - self.span[0] + 100.0, 0.0, 0.0), Vector3::new(0.0, 0.0, 40.0)];
+        self.scene.mesh.quad([corner, edges[0], edges[1]], -Vector3::y(), shift, material);
     }
 
     /// Buildings of uneven depth and height at the back, and a wall behind them at 30 m.
     fn back(&mut self) {
         let mut x = self.span[0] - 40.0;
         while x < self.span[1] + 40.0 {
-            let half = Vector3::new(
-                self.draw.range(1.5, 5.0),
-                self.draw.range(2.0, 7.0),
-                self.draw.range(1.0, 3.0),
-            );
+            let half = Vector3::new(self.draw.range(1.5, 5.0), self.draw.range(2.0, 7.0), self.draw.range(1.0, 3.0));
             let z = self.draw.range(16.0, 26.0);
-            let place = Placement::upright(
-                Vector3::new(x + half.x, -half.y, z),
-                self.draw.range(-0.3, 0.3),
-            );
-            let (wall, top, shift) = (
-                self.walls[self.draw.index(self.walls.len())],
-                self.skin(),
-                self.shift(),
-            );
-            self.scene
-                .mesh
-                .solid_box(&place, half, [wall, top], shift, false);
+            let place = Placement::upright(Vector3::new(x + half.x, -half.y, z), self.draw.range(-0.3, 0.3));
+            let (wall, top, shift) = (self.walls[self.draw.index(self.walls.len())], self.skin(), self.shift());
+            self.scene.mesh.solid_box(&place, half, [wall, top], shift, false);
             let width = 2.0 * half.x + self.draw.range(0.0, 5.0);
             let height = Vector3::new(0.0, -self.draw.range(10.0, 15.0), 0.0);
             let (wall, shift) = (self.walls[self.draw.index(self.walls.len())], self.shift());
             let corner = Vector3::new(x, 0.0, 30.0) + height;
-            self.scene.mesh.quad(
-                [corner, Vector3::new(width, 0.0, 0.0), -height],
-                -Vector3::z(),
-                shift,
-                wall,
-            );
+            self.scene.mesh.quad([corner, Vector3::new(width, 0.0, 0.0), -height], -Vector3::z(), shift, wall);
             x += width;
         }
     }
@@ -127,30 +89,21 @@ impl Stage {
         for _ in 0..count {
             let z = self.draw.log_range(2.6, 18.0);
             let margin = 0.9 * z;
-            let x = self
-                .draw
-                .range(self.span[0] - margin, self.span[1] + margin);
+            let x = self.draw.range(self.span[0] - margin, self.span[1] + margin);
             let size = self.draw.log_range(0.15, 1.3) * (0.45 + 0.06 * z);
             let half = Vector3::from_fn(|_, _| size * self.draw.range(0.5, 1.0));
             if z - half.norm() < 1.7 {
                 continue;
             }
             let hanging = self.draw.chance(0.25);
-            let y = if hanging {
-                -half.y - self.draw.range(0.8, 3.5)
-            } else {
-                -half.y
-            };
+            let y = if hanging { -half.y - self.draw.range(0.8, 3.5) } else { -half.y };
             self.thing(Vector3::new(x, y, z), half, hanging);
         }
     }
 
     fn thing(&mut self, centre: Vector3<f64>, half: Vector3<f64>, hanging: bool) {
         let place = Placement::upright(centre, self.draw.range(0.0, std::f64::consts::TAU));
-        let foot = Placement {
-            position: centre + Vector3::new(0.0, half.y, 0.0),
-            ..place
-        };
+        let foot = Placement { position: centre + Vector3::new(0.0, half.y, 0.0), ..place };
         let leaf = self.leaves[self.draw.index(self.leaves.len())];
         let (skin, other, shift) = (self.skin(), self.skin(), self.shift());
         let height = self.draw.range(2.0, 5.0);
@@ -171,9 +124,7 @@ impl Stage {
         let first = self.scene.mesh.faces.len();
         let (skin, other, shift) = (self.skin(), self.skin(), self.shift());
         let place = Placement::upright(Vector3::new(0.0, -half.y, 0.0), 0.0);
-        self.scene
-            .mesh
-            .solid_box(&place, half, [skin, other], shift, true);
+        self.scene.mesh.solid_box(&place, half, [skin, other], shift, true);
         for face in &mut self.scene.mesh.faces[first..] {
             face.moving = true;
         }

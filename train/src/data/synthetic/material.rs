@@ -8,8 +8,7 @@ pub fn colour(draw: &mut Draw, lo: f64, hi: f64, saturation: f64) -> [f32; 3] {
     let light = draw.range(lo, hi);
     let hue = draw.range(0.0, std::f64::consts::TAU);
     let amount = saturation * draw.range(0.3, 1.0);
-    [0.0, 2.1, 4.2]
-        .map(|phase| (light * (1.0 + amount * (hue + phase).cos())).clamp(0.04, 0.96) as f32)
+    [0.0, 2.1, 4.2].map(|phase| (light * (1.0 + amount * (hue + phase).cos())).clamp(0.04, 0.96) as f32)
 }
 
 /// The range of cell sizes of a noise stack, metres, and how much the cells are stretched along both coordinates.
@@ -28,20 +27,12 @@ pub struct Grain {
 impl Grain {
     /// Round grains.
     pub fn new(coarse: f64, fine: f64, amplitude: f64) -> Self {
-        Self {
-            coarse,
-            fine,
-            stretch: [1.0, 1.0],
-            amplitude,
-        }
+        Self { coarse, fine, stretch: [1.0, 1.0], amplitude }
     }
 
     /// The same grains stretched along both coordinates.
     pub fn stretched(self, along_u: f64, along_v: f64) -> Self {
-        Self {
-            stretch: [along_u, along_v],
-            ..self
-        }
+        Self { stretch: [along_u, along_v], ..self }
     }
 
     /// Noise layers, each half the cell size of the one before, tinted mostly by lightness.
@@ -50,8 +41,7 @@ impl Grain {
         let mut cell = self.coarse * draw.range(0.8, 1.2);
         while cell >= self.fine {
             let hue = draw.range(0.0, std::f64::consts::TAU);
-            let tint = [0.0, 2.1, 4.2]
-                .map(|phase| (self.amplitude * (1.0 + 0.3 * (hue + phase).cos())) as f32);
+            let tint = [0.0, 2.1, 4.2].map(|phase| (self.amplitude * (1.0 + 0.3 * (hue + phase).cos())) as f32);
             octaves.push(Octave {
                 frequency: self.stretch.map(|s| (1.0 / (cell * s)) as f32),
                 offset: [draw.range(0.0, 64.0) as f32, draw.range(0.0, 64.0) as f32],
@@ -67,18 +57,10 @@ impl Grain {
 pub fn facade(draw: &mut Draw) -> Material {
     let base = colour(draw, 0.32, 0.75, 0.25);
     let mut octaves = Grain::new(3.0, 0.1, 0.13).octaves(draw);
-    octaves.extend(
-        Grain::new(0.8, 0.15, 0.10)
-            .stretched(6.0, 1.0)
-            .octaves(draw),
-    );
+    octaves.extend(Grain::new(0.8, 0.15, 0.10).stretched(6.0, 1.0).octaves(draw));
     let pane = colour(draw, 0.08, 0.4, 0.3);
     let pattern = match draw.index(6) {
-        0 => Pattern::Bricks(
-            draw.range(0.5, 1.2) as f32,
-            draw.range(0.25, 0.5) as f32,
-            colour(draw, 0.5, 0.8, 0.1),
-        ),
+        0 => Pattern::Bricks(draw.range(0.5, 1.2) as f32, draw.range(0.25, 0.5) as f32, colour(draw, 0.5, 0.8, 0.1)),
         1 => Pattern::Rows(draw.range(0.5, 1.5) as f32, 0.4, pane, 0.6),
         _ => Pattern::Windows(
             [draw.range(1.2, 3.0) as f32, draw.range(1.4, 3.2) as f32],
@@ -86,11 +68,7 @@ pub fn facade(draw: &mut Draw) -> Material {
             pane,
         ),
     };
-    Material {
-        base,
-        octaves,
-        pattern,
-    }
+    Material { base, octaves, pattern }
 }
 
 /// The skin of an object of about `size` metres.
@@ -98,11 +76,7 @@ pub fn object(draw: &mut Draw, size: f64) -> Material {
     let base = colour(draw, 0.2, 0.78, 0.6);
     let mut octaves = Grain::new(0.8 * size, 0.02 * size.max(1.0), 0.15).octaves(draw);
     if draw.chance(0.3) {
-        octaves.extend(
-            Grain::new(0.3 * size, 0.05 * size, 0.12)
-                .stretched(1.0, 5.0)
-                .octaves(draw),
-        );
+        octaves.extend(Grain::new(0.3 * size, 0.05 * size, 0.12).stretched(1.0, 5.0).octaves(draw));
     }
     let other = colour(draw, 0.1, 0.9, 0.6);
     let period = (size * draw.range(0.25, 0.7)) as f32;
@@ -113,11 +87,7 @@ pub fn object(draw: &mut Draw, size: f64) -> Material {
         3 => Pattern::Bricks(period, 0.5 * period, other),
         _ => Pattern::Plain,
     };
-    Material {
-        base,
-        octaves,
-        pattern,
-    }
+    Material { base, octaves, pattern }
 }
 
 /// The wall, floor or ceiling of a room.
@@ -125,48 +95,28 @@ pub fn interior(draw: &mut Draw) -> Material {
     let base = colour(draw, 0.35, 0.75, 0.3);
     let mut octaves = Grain::new(1.6, 0.03, 0.13).octaves(draw);
     if draw.chance(0.4) {
-        octaves.extend(
-            Grain::new(0.25, 0.05, 0.10)
-                .stretched(5.0, 1.0)
-                .octaves(draw),
-        );
+        octaves.extend(Grain::new(0.25, 0.05, 0.10).stretched(5.0, 1.0).octaves(draw));
     }
     let other = colour(draw, 0.15, 0.85, 0.5);
     let pattern = match draw.index(6) {
         0 => Pattern::Checker(draw.range(0.25, 0.6) as f32, other, 0.5),
-        1 => Pattern::Bricks(
-            draw.range(0.3, 0.7) as f32,
-            draw.range(0.12, 0.3) as f32,
-            other,
-        ),
+        1 => Pattern::Bricks(draw.range(0.3, 0.7) as f32, draw.range(0.12, 0.3) as f32, other),
         2 => Pattern::Stripes(draw.range(0.3, 0.8) as f32, 0.5, other, 0.5),
         3 => Pattern::Windows([1.3, 1.1], [0.5, 0.6], other),
         _ => Pattern::Plain,
     };
-    Material {
-        base,
-        octaves,
-        pattern,
-    }
+    Material { base, octaves, pattern }
 }
 
 /// Leaves: strong irregular contrast in greens and browns.
 pub fn foliage(draw: &mut Draw) -> Material {
     let light = draw.range(0.25, 0.5);
     let base = [0.75 * light * draw.range(0.7, 1.5), light, 0.55 * light].map(|c| c as f32);
-    Material {
-        base,
-        octaves: Grain::new(1.5, 0.06, 0.16).octaves(draw),
-        pattern: Pattern::Plain,
-    }
+    Material { base, octaves: Grain::new(1.5, 0.06, 0.16).octaves(draw), pattern: Pattern::Plain }
 }
 
 /// Open ground: grass, gravel or paving, with grains stretched along neither axis.
 pub fn open_ground(draw: &mut Draw) -> Material {
     let base = colour(draw, 0.32, 0.58, 0.22);
-    Material {
-        base,
-        octaves: Grain::new(12.0, 0.05, 0.14).octaves(draw),
-        pattern: Pattern::Plain,
-    }
+    Material { base, octaves: Grain::new(12.0, 0.05, 0.14).octaves(draw), pattern: Pattern::Plain }
 }

@@ -21,9 +21,7 @@ pub struct Draw {
 impl Draw {
     /// The stream number `stream` of a seed.
     pub fn new(seed: u64, stream: u64) -> Self {
-        Self {
-            generator: ChaCha8Rng::seed_from_u64(mix(seed) ^ mix(stream.wrapping_mul(2) + 1)),
-        }
+        Self { generator: ChaCha8Rng::seed_from_u64(mix(seed) ^ mix(stream.wrapping_mul(2) + 1)) }
     }
 
     /// Uniform in [0, 1).
@@ -86,10 +84,7 @@ impl Smooth {
 
     /// The value at `x`.
     pub fn at(&self, x: f64) -> f64 {
-        self.waves
-            .iter()
-            .map(|[a, w, p]| a * (w * x + p).sin())
-            .sum()
+        self.waves.iter().map(|[a, w, p]| a * (w * x + p).sin()).sum()
     }
 
     /// The value at `x` squashed into (-1, 1).

@@ -68,9 +68,7 @@ impl View {
             .faces
             .iter()
             .enumerate()
-            .filter_map(|(i, face)| {
-                view_face(face, i, &transforms[usize::from(face.moving)], intrinsics)
-            })
+            .filter_map(|(i, face)| view_face(face, i, &transforms[usize::from(face.moving)], intrinsics))
             .collect();
         // Near faces first: a search can stop once all faces left lie farther than what was found.
         faces.sort_by(|a, b| b.nearest.total_cmp(&a.nearest));
@@ -137,8 +135,7 @@ impl View {
         let column = (u.max(0.0) as usize).min(self.intrinsics.width - 1) / TILE;
         let row = (v.max(0.0) as usize).min(self.intrinsics.height - 1) / TILE;
         let tile = row * self.tile_columns + column;
-        let list =
-            &self.tile_faces[self.tile_starts[tile] as usize..self.tile_starts[tile + 1] as usize];
+        let list = &self.tile_faces[self.tile_starts[tile] as usize..self.tile_starts[tile + 1] as usize];
         let (x, y) = (self.ray_x(u), self.ray_y(v));
         let (mut best, mut found) = (0.0f32, usize::MAX);
         for &index in list {
@@ -149,39 +146,24 @@ impl View {
             let inverse = form(&face.inverse_depth, x, y);
             let s = form(&face.coordinates[0], x, y);
             let t = form(&face.coordinates[1], x, y);
-            let inside = s >= 0.0
-                && t >= 0.0
-                && s <= inverse
-                && t <= inverse
-                && s + t <= face.limit * inverse;
+            let inside = s >= 0.0 && t >= 0.0 && s <= inverse && t <= inverse && s + t <= face.limit * inverse;
             if inverse > best && inside {
                 (best, found) = (inverse, index as usize);
             }
         }
-        (found != usize::MAX).then(|| Hit {
-            index: found,
-            depth: self.depth(found, u, v),
-        })
+        (found != usize::MAX).then(|| Hit { index: found, depth: self.depth(found, u, v) })
     }
 }
 
 /// A face in the frame of the camera, `None` when it cannot be seen.
-fn view_face(
-    face: &Face,
-    number: usize,
-    camera_from: &Se3,
-    intrinsics: &Intrinsics,
-) -> Option<ViewFace> {
+fn view_face(face: &Face, number: usize, camera_from: &Se3, intrinsics: &Intrinsics) -> Option<ViewFace> {
     let origin = camera_from.transform(&face.origin);
     let normal = camera_from.rotation * face.normal;
     let distance = normal.dot(&origin);
     if distance > -1e-6 {
         return None;
     }
-    let (edge_s, edge_t) = (
-        camera_from.rotation * face.edge_s,
-        camera_from.rotation * face.edge_t,
-    );
+    let (edge_s, edge_t) = (camera_from.rotation * face.edge_s, camera_from.rotation * face.edge_t);
     let (bounds, nearest) = bounds(&origin, &edge_s, &edge_t, face.limit, intrinsics)?;
     let inverse_depth = normal / distance;
     let cross = edge_s.cross(&edge_t);
@@ -205,10 +187,7 @@ fn view_face(
 fn extent(corners: &[Vector3<f64>; 4], k: &Intrinsics) -> ([f64; 2], [f64; 2]) {
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
     let mut include = |p: &Vector3<f64>| {
-        for (axis, x) in [k.fu * p.x / p.z + k.u0, k.fv * p.y / p.z + k.v0]
-            .into_iter()
-            .enumerate()
-        {
+        for (axis, x) in [k.fu * p.x / p.z + k.u0, k.fv * p.y / p.z + k.v0].into_iter().enumerate() {
             low[axis] = low[axis].min(x);
             high[axis] = high[axis].max(x);
         }
@@ -246,18 +225,6 @@ fn bounds(
     }
     let first = |a: usize| (low[a] - 1.0).max(0.0) as usize;
     let last = |a: usize| (high[a] + 1.0).clamp(0.0, size[a] - 1.0) as usize;
-    let nearest = corners
-        .iter()
-        .map(|p| p.z)
-        .fold(f64::INFINITY, f64::min)
-        .max(NEAR);
-    Some((
-        [
-            first(0).min(k.width - 1),
-            last(0),
-            first(1).min(k.height - 1),
-            last(1),
-        ],
-        nearest,
-    ))
+    let nearest = corners.iter().map(|p| p.z).fold(f64::INFINITY, f64::min).max(NEAR);
+    Some(([first(0).min(k.width - 1), last(0), first(1).min(k.height - 1), last(1)], nearest))
 }

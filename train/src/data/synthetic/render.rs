@@ -53,21 +53,13 @@ impl Samples {
 #[inline(always)]
 fn scan(face: &ViewFace, index: u32, xs: &[f32], y: f32, nearest: &mut [f32], seen: &mut [u32]) {
     let at = |f: &[f32; 3]| (f[0], f[1] * y + f[2]);
-    let (a, s, t) = (
-        at(&face.inverse_depth),
-        at(&face.coordinates[0]),
-        at(&face.coordinates[1]),
-    );
+    let (a, s, t) = (at(&face.inverse_depth), at(&face.coordinates[0]), at(&face.coordinates[1]));
     for ((&x, nearest), seen) in xs.iter().zip(nearest).zip(seen) {
         let inverse = a.0 * x + a.1;
         let s = s.0 * x + s.1;
         let t = t.0 * x + t.1;
-        let hit = (inverse > *nearest)
-            & (s >= 0.0)
-            & (t >= 0.0)
-            & (s <= inverse)
-            & (t <= inverse)
-            & (s + t <= face.limit * inverse);
+        let hit =
+            (inverse > *nearest) & (s >= 0.0) & (t >= 0.0) & (s <= inverse) & (t <= inverse) & (s + t <= face.limit * inverse);
         *nearest = if hit { inverse } else { *nearest };
         *seen = if hit { index } else { *seen };
     }
@@ -102,11 +94,7 @@ pub fn render(world: &World, view: &View, frame: usize, night: bool) -> Rendered
 fn resolve(samples: &Samples, shader: &Shader<'_>, u: usize, v: usize) -> [f32; 3] {
     let row = |j: usize| {
         let start = (2 * v + j) * samples.columns + 2 * u;
-        [
-            samples.seen[start],
-            samples.seen[start + 1],
-            samples.seen[start + 2],
-        ]
+        [samples.seen[start], samples.seen[start + 1], samples.seen[start + 2]]
     };
     let seen = [row(0), row(1), row(2)];
     let centre = seen[1][1];
@@ -177,10 +165,7 @@ impl<'a> Shader<'a> {
     /// Colour of the face (or sky) at pixel (u, v), which may lie a little outside the face.
     #[inline(always)]
     fn shade(&self, index: u32, u: f32, v: f32) -> [f32; 3] {
-        let (x, y) = (
-            (u - self.centre[0]) * self.steps[0],
-            (v - self.centre[1]) * self.steps[1],
-        );
+        let (x, y) = ((u - self.centre[0]) * self.steps[0], (v - self.centre[1]) * self.steps[1]);
         if index == SKY {
             return self.sky(x, y);
         }
@@ -188,28 +173,18 @@ impl<'a> Shader<'a> {
         let depth = 1.0 / form(&seen.inverse_depth, x, y).max(1e-4);
         let face = &self.world.faces[seen.face];
         let [s, t] = [0, 1].map(|i| form(&seen.coordinates[i], x, y) * depth);
-        let [ds, dt] = [(0, s), (1, t)].map(|(i, value)| {
-            [0, 1].map(|k| {
-                (seen.coordinates[i][k] - value * seen.inverse_depth[k]) * depth * self.steps[k]
-            })
-        });
+        let [ds, dt] = [(0, s), (1, t)]
+            .map(|(i, value)| [0, 1].map(|k| (seen.coordinates[i][k] - value * seen.inverse_depth[k]) * depth * self.steps[k]));
         let texture = face.texture.map(|p| [p.x as f32, p.y as f32]);
         let at = [0, 1].map(|k| texture[0][k] + s * texture[1][k] + t * texture[2][k]);
         let step = |k: usize| [0, 1].map(|p| ds[p] * texture[1][k] + dt[p] * texture[2][k]);
-        let footprint = Footprint {
-            u: step(0),
-            v: step(1),
-        };
+        let footprint = Footprint { u: step(0), v: step(1) };
         let albedo = match &self.world.surfaces[face.material] {
             Surface::Plain(material) => material.albedo(&self.world.table, at, &footprint),
             Surface::Road(road) => road.albedo(&self.world.table, at, &footprint),
         };
         let light = self.world.light_on[seen.face];
-        let light = if self.night {
-            light * headlight(x, y, depth)
-        } else {
-            light
-        };
+        let light = if self.night { light * headlight(x, y, depth) } else { light };
         albedo.map(|c| c * light)
     }
 
@@ -221,19 +196,10 @@ impl<'a> Shader<'a> {
         let up = (-dy).max(0.0);
         let [horizon, zenith] = self.world.light.sky;
         let (a, b) = (dx / (up + 0.5), dz / (up + 0.5));
-        let cloud = self.world.table.at(3.0 * a, 3.0 * b)
-            + 0.5 * self.world.table.at(6.0 * a + 9.0, 6.0 * b);
+        let cloud = self.world.table.at(3.0 * a, 3.0 * b) + 0.5 * self.world.table.at(6.0 * a + 9.0, 6.0 * b);
         let clear = blend(horizon, zenith, (1.6 * up).min(1.0));
-        let colour = blend(
-            clear,
-            [0.93, 0.93, 0.94],
-            (0.35 + 0.5 * cloud).clamp(0.0, 0.8),
-        );
-        if self.night {
-            colour.map(|c| 0.05 * c)
-        } else {
-            colour
-        }
+        let colour = blend(clear, [0.93, 0.93, 0.94], (0.35 + 0.5 * cloud).clamp(0.0, 0.8));
+        if self.night { colour.map(|c| 0.05 * c) } else { colour }
     }
 }
 

@@ -49,19 +49,12 @@ struct RoadField {
 impl RoadField {
     fn new(path: &[PathPoint]) -> Self {
         let corner = |pick: fn(f64, f64) -> f64, start: f64| {
-            path.iter().fold(Vector2::repeat(start), |acc, p| {
-                acc.zip_map(&p.position, pick)
-            })
+            path.iter().fold(Vector2::repeat(start), |acc, p| acc.zip_map(&p.position, pick))
         };
         let low = corner(f64::min, f64::INFINITY) - Vector2::repeat(REACH + CELL);
         let high = corner(f64::max, f64::NEG_INFINITY) + Vector2::repeat(REACH + CELL);
         let size = ((high - low) / CELL).map(|x| x.ceil() as usize + 1);
-        let mut field = Self {
-            origin: low,
-            columns: size.x,
-            rows: size.y,
-            values: vec![[1e6, 0.0]; size.x * size.y],
-        };
+        let mut field = Self { origin: low, columns: size.x, rows: size.y, values: vec![[1e6, 0.0]; size.x * size.y] };
         let mut nearest = vec![f64::INFINITY; size.x * size.y];
         for pair in path.windows(2) {
             field.add_segment(&pair[0], &pair[1], &mut nearest);
@@ -104,12 +97,7 @@ impl RoadField {
             return None;
         }
         let (fx, fz) = (gx - i as f32, gz - j as f32);
-        let row = |j: usize| {
-            [
-                self.values[j * self.columns + i],
-                self.values[j * self.columns + i + 1],
-            ]
-        };
+        let row = |j: usize| [self.values[j * self.columns + i], self.values[j * self.columns + i + 1]];
         let ([a, b], [c, d]) = (row(j), row(j + 1));
         if a[0].abs().max(b[0].abs()).max(c[0].abs()).max(d[0].abs()) > REACH as f32 {
             return None;
@@ -146,16 +134,8 @@ impl Road {
     pub fn new(draw: &mut Draw, path: &[PathPoint], centre: f64, half: f64, pavement: f64) -> Self {
         let grey = material::colour(draw, 0.3, 0.5, 0.06);
         let mut octaves = Grain::new(1.6, 0.12, 0.085).octaves(draw);
-        octaves.extend(
-            Grain::new(0.9, 0.1, 0.085)
-                .stretched(1.0, 5.0)
-                .octaves(draw),
-        );
-        octaves.extend(
-            Grain::new(0.8, 0.2, 0.06)
-                .stretched(1.0, 20.0)
-                .octaves(draw),
-        );
+        octaves.extend(Grain::new(0.9, 0.1, 0.085).stretched(1.0, 5.0).octaves(draw));
+        octaves.extend(Grain::new(0.8, 0.2, 0.06).stretched(1.0, 20.0).octaves(draw));
         octaves.extend(Grain::new(0.8, 0.3, 0.06).stretched(6.0, 1.0).octaves(draw));
         for octave in &mut octaves {
             let mean = octave.tint.iter().sum::<f32>() / 3.0;
@@ -163,11 +143,7 @@ impl Road {
         }
         let mut slabs = material::interior(draw);
         slabs.octaves = Grain::new(2.4, 0.1, 0.12).octaves(draw);
-        slabs.octaves.extend(
-            Grain::new(0.8, 0.15, 0.11)
-                .stretched(1.0, 6.0)
-                .octaves(draw),
-        );
+        slabs.octaves.extend(Grain::new(0.8, 0.15, 0.11).stretched(1.0, 6.0).octaves(draw));
         Self {
             field: RoadField::new(path),
             edges: [(centre - half) as f32, (centre + half) as f32],
@@ -187,15 +163,11 @@ impl Road {
             return self.open.albedo(table, [x, z], footprint);
         };
         let turn = |g: [f32; 2]| [0, 1].map(|k| g[0] * footprint.u[k] + g[1] * footprint.v[k]);
-        let local = Footprint {
-            u: turn(gradient[0]),
-            v: turn(gradient[1]),
-        };
+        let local = Footprint { u: turn(gradient[0]), v: turn(gradient[1]) };
         let width = local.width_u();
         let [left, right] = self.edges;
         let on_road = step(left, lateral, width) - step(right, lateral, width);
-        let outer = step(left - self.pavement, lateral, width)
-            - step(right + self.pavement, lateral, width);
+        let outer = step(left - self.pavement, lateral, width) - step(right + self.pavement, lateral, width);
         let mut colour = [0.0; 3];
         if outer < 0.999 {
             colour = self.open.albedo(table, [x, z], footprint);
@@ -205,35 +177,20 @@ impl Road {
             colour = blend(colour, slabs, outer);
         }
         if on_road > 0.001 {
-            colour = blend(
-                colour,
-                self.carriageway(table, [lateral, arc], &local, width),
-                on_road,
-            );
+            colour = blend(colour, self.carriageway(table, [lateral, arc], &local, width), on_road);
         }
-        let kerb =
-            |edge: f32| step(edge - 0.12, lateral, width) - step(edge + 0.12, lateral, width);
+        let kerb = |edge: f32| step(edge - 0.12, lateral, width) - step(edge + 0.12, lateral, width);
         blend(colour, [0.62, 0.6, 0.57], 0.8 * (kerb(left) + kerb(right)))
     }
 
     /// Asphalt with lane markings.
-    fn carriageway(
-        &self,
-        table: &NoiseTable,
-        at: [f32; 2],
-        local: &Footprint,
-        width: f32,
-    ) -> [f32; 3] {
+    fn carriageway(&self, table: &NoiseTable, at: [f32; 2], local: &Footprint, width: f32) -> [f32; 3] {
         let colour = add_octaves(self.asphalt, &self.asphalt_octaves, table, at, local);
-        let line = |centre: f32, half: f32| {
-            step(centre - half, at[0], width) - step(centre + half, at[0], width)
-        };
+        let line = |centre: f32, half: f32| step(centre - half, at[0], width) - step(centre + half, at[0], width);
         let [left, right] = self.edges;
         let [period, duty] = self.dash;
         let dashes = pulse(at[1] / period, duty, local.width_v() / period);
-        let paint = line(0.5 * (left + right), 0.09) * dashes
-            + line(left + 0.4, 0.07)
-            + line(right - 0.4, 0.07);
+        let paint = line(0.5 * (left + right), 0.09) * dashes + line(left + 0.4, 0.07) + line(right - 0.4, 0.07);
         blend(colour, self.marking, 0.85 * paint.min(1.0))
     }
 }
@@ -249,11 +206,7 @@ mod tests {
                 let heading = 0.02 * i as f64;
                 let position = 20.0 * Vector2::new(1.0 - heading.cos(), heading.sin());
                 let arc = 0.4 * i as f64;
-                PathPoint {
-                    position,
-                    heading,
-                    arc,
-                }
+                PathPoint { position, heading, arc }
             })
             .collect()
     }

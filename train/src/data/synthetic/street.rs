@@ -62,41 +62,18 @@ pub fn build(seed: u64, frames: usize, moving_object: bool) -> Scene {
 impl Street {
     fn new(mut draw: Draw, drive: &Drive, edges: [f64; 2], pavement: f64) -> Self {
         let mut scene = Scene::new(drive.poses.clone());
-        let walls = (0..7)
-            .map(|_| scene.material(material::facade(&mut draw)))
-            .collect();
+        let walls = (0..7).map(|_| scene.material(material::facade(&mut draw))).collect();
         let skins = (0..14)
             .map(|_| {
                 let size = draw.range(0.6, 1.6);
                 scene.material(material::object(&mut draw, size))
             })
             .collect();
-        let leaves = (0..3)
-            .map(|_| scene.material(material::foliage(&mut draw)))
-            .collect();
-        let cameras = drive
-            .poses
-            .iter()
-            .map(|p| Vector2::new(p.translation.x, p.translation.z));
-        let keep_out = drive
-            .path
-            .iter()
-            .map(|p| p.position)
-            .chain(cameras)
-            .collect();
+        let leaves = (0..3).map(|_| scene.material(material::foliage(&mut draw))).collect();
+        let cameras = drive.poses.iter().map(|p| Vector2::new(p.translation.x, p.translation.z));
+        let keep_out = drive.path.iter().map(|p| p.position).chain(cameras).collect();
         let end = drive.path.last().map_or(0.0, |p| p.arc);
-        Self {
-            scene,
-            draw,
-            path: drive.path.clone(),
-            keep_out,
-            walls,
-            skins,
-            leaves,
-            edges,
-            pavement,
-            span: [1.0, end - 2.0],
-        }
+        Self { scene, draw, path: drive.path.clone(), keep_out, walls, skins, leaves, edges, pavement, span: [1.0, end - 2.0] }
     }
 
     /// A random member of a list of materials.
@@ -132,13 +109,7 @@ impl Street {
 
     /// Whether an upright box (half sizes across and along its heading) stays `clearance` away from the
     /// path and all camera positions.
-    pub fn is_clear(
-        &self,
-        centre: Vector2<f64>,
-        heading: f64,
-        half: [f64; 2],
-        clearance: f64,
-    ) -> bool {
+    pub fn is_clear(&self, centre: Vector2<f64>, heading: f64, half: [f64; 2], clearance: f64) -> bool {
         let (s, c) = heading.sin_cos();
         self.keep_out.iter().all(|point| {
             let d = point - centre;
@@ -155,13 +126,8 @@ impl Street {
 
     /// Ground, a ring of far walls of uneven height, and tall blocks between them and the street.
     fn ground_and_backdrop(&mut self, road: Road) {
-        let centre =
-            self.path.iter().map(|p| p.position).sum::<Vector2<f64>>() / self.path.len() as f64;
-        let frames = self
-            .scene
-            .poses
-            .iter()
-            .map(|p| Vector2::new(p.translation.x, p.translation.z));
+        let centre = self.path.iter().map(|p| p.position).sum::<Vector2<f64>>() / self.path.len() as f64;
+        let frames = self.scene.poses.iter().map(|p| Vector2::new(p.translation.x, p.translation.z));
         let reach = frames.map(|p| (p - centre).norm()).fold(0.0, f64::max);
         let radius = reach.max(14.0) + 34.0;
         let size = 2.2 * radius;
@@ -169,12 +135,7 @@ impl Street {
         let ground = self.scene.surfaces.len() - 1;
         let corner = Vector3::new(centre.x - 0.5 * size, 0.0, centre.y - 0.5 * size);
         let edges = [Vector3::new(size, 0.0, 0.0), Vector3::new(0.0, 0.0, size)];
-        self.scene.mesh.quad(
-            [corner, edges[0], edges[1]],
-            -Vector3::y(),
-            Vector2::zeros(),
-            ground,
-        );
+        self.scene.mesh.quad([corner, edges[0], edges[1]], -Vector3::y(), Vector2::zeros(), ground);
         // Texture coordinates of the ground are world (x, z).
         if let Some(face) = self.scene.mesh.faces.last_mut() {
             let along = Vector2::new(size, 0.0);
@@ -200,9 +161,7 @@ impl Street {
             let height = Vector3::new(0.0, -self.draw.range(15.0, 30.0), 0.0);
             let inward = Vector3::new(centre.x, 0.0, centre.y) - a;
             let (shift, material) = (self.shift(), self.pick(&self.walls.clone()));
-            self.scene
-                .mesh
-                .quad([a + height, b - a, -height], inward, shift, material);
+            self.scene.mesh.quad([a + height, b - a, -height], inward, shift, material);
         }
     }
 
@@ -242,35 +201,21 @@ impl Street {
     fn building(&mut self, ground: Vector2<f64>, yaw: f64, half: [f64; 2], height: f64) {
         let place = Placement::upright(Vector3::new(ground.x, -0.5 * height, ground.y), yaw);
         let size = Vector3::new(half[0], 0.5 * height, half[1]);
-        let (wall, top, shift) = (
-            self.pick(&self.walls.clone()),
-            self.pick(&self.skins.clone()),
-            self.shift(),
-        );
-        self.scene
-            .mesh
-            .solid_box(&place, size, [wall, top], shift, false);
+        let (wall, top, shift) = (self.pick(&self.walls.clone()), self.pick(&self.skins.clone()), self.shift());
+        self.scene.mesh.solid_box(&place, size, [wall, top], shift, false);
     }
 
     /// Rows of buildings of uneven depth, height and distance on both sides, with gaps.
     fn facades(&mut self) {
         for side in [-1.0, 1.0] {
-            let edge = if side < 0.0 {
-                -self.edges[0]
-            } else {
-                self.edges[1]
-            } + self.pavement;
+            let edge = if side < 0.0 { -self.edges[0] } else { self.edges[1] } + self.pavement;
             let setback = edge + self.draw.log_range(0.3, 5.0);
             let mut arc = self.span[0];
             while arc < self.span[1] {
                 let length = self.draw.range(3.5, 12.0);
                 let distance = setback + self.draw.range(0.0, 3.5);
                 self.facade(side, arc + 0.5 * length, 0.5 * length, distance);
-                let gap = if self.draw.chance(0.3) {
-                    self.draw.range(1.5, 9.0)
-                } else {
-                    0.0
-                };
+                let gap = if self.draw.chance(0.3) { self.draw.range(1.5, 9.0) } else { 0.0 };
                 arc += length + gap;
             }
         }
@@ -288,20 +233,14 @@ impl Street {
         // Awnings, bays and balconies that stand out of the front.
         for _ in 0..self.draw.index(3) {
             let out = self.draw.range(0.3, 1.1);
-            let half = Vector3::new(
-                out,
-                self.draw.range(0.1, 0.9),
-                self.draw.range(0.5, 1.6).min(half_length),
-            );
+            let half = Vector3::new(out, self.draw.range(0.1, 0.9), self.draw.range(0.5, 1.6).min(half_length));
             let along = self.draw.range(-1.0, 1.0) * (half_length - half.z);
             let (ground, yaw) = self.at(arc + along, side * distance);
             let y = -self.draw.range(2.6, 3.0f64.max(height - 1.0)) - half.y;
             let place = Placement::upright(Vector3::new(ground.x, y, ground.y), yaw);
             let (skin, shift) = (self.pick(&self.skins.clone()), self.shift());
             if self.is_clear(ground, yaw, [half.x, half.z], 1.6) {
-                self.scene
-                    .mesh
-                    .solid_box(&place, half, [skin, skin], shift, true);
+                self.scene.mesh.solid_box(&place, half, [skin, skin], shift, true);
             }
         }
     }
@@ -315,11 +254,7 @@ impl Street {
         }
         let oncoming = self.draw.chance(0.5);
         let (start, speed) = (self.draw.range(14.0, 26.0), self.draw.range(0.3, 0.7));
-        let lateral = if oncoming {
-            0.5 * (self.edges[0] + self.edges[1]) - 1.6
-        } else {
-            0.0
-        };
+        let lateral = if oncoming { 0.5 * (self.edges[0] + self.edges[1]) - 1.6 } else { 0.0 };
         let gap = super::random::Smooth::new(&mut self.draw, 3, 15.0, 50.0);
         self.scene.object_poses = (0..drive.poses.len())
             .map(|frame| {
@@ -329,13 +264,9 @@ impl Street {
                 } else {
                     camera + 9.0 + 2.0 * gap.bounded(frame as f64)
                 };
-                let (ground, heading) =
-                    self.at(arc, lateral.min(if oncoming { -3.0 } else { 0.0 }));
+                let (ground, heading) = self.at(arc, lateral.min(if oncoming { -3.0 } else { 0.0 }));
                 let turn = if oncoming { std::f64::consts::PI } else { 0.0 };
-                Se3 {
-                    rotation: super::face::rotation_y(heading + turn),
-                    translation: Vector3::new(ground.x, 0.0, ground.y),
-                }
+                Se3 { rotation: super::face::rotation_y(heading + turn), translation: Vector3::new(ground.x, 0.0, ground.y) }
             })
             .collect();
     }
@@ -343,9 +274,7 @@ impl Street {
 
 /// The point at a length along a path, interpolated; beyond the ends the path goes straight on.
 fn along(path: &[PathPoint], arc: f64) -> PathPoint {
-    let next = path
-        .partition_point(|p| p.arc < arc)
-        .clamp(1, path.len() - 1);
+    let next = path.partition_point(|p| p.arc < arc).clamp(1, path.len() - 1);
     let (a, b) = (&path[next - 1], &path[next]);
     let w = (arc - a.arc) / (b.arc - a.arc);
     PathPoint {

@@ -35,35 +35,18 @@ pub fn car_at(street: &mut Street, place: &Placement) {
     let mut part = |half: Vector3<f64>, y: f64, z: f64, materials| {
         let position = place.position + place.rotation * Vector3::new(0.0, y, z);
         let place = Placement { position, ..*place };
-        street
-            .scene
-            .mesh
-            .solid_box(&place, half, materials, shift, true);
+        street.scene.mesh.solid_box(&place, half, materials, shift, true);
     };
-    part(
-        Vector3::new(width, 0.5 * (waist - 0.2), length),
-        -0.5 * (waist + 0.2),
-        0.0,
-        [body, body],
-    );
+    part(Vector3::new(width, 0.5 * (waist - 0.2), length), -0.5 * (waist + 0.2), 0.0, [body, body]);
     let roof = if van { 0.55 } else { 0.3 };
     let cabin_length = length * if van { 0.9 } else { 0.52 };
-    part(
-        Vector3::new(0.92 * width, roof, cabin_length),
-        -waist - roof,
-        -0.1 * length,
-        [cabin, body],
-    );
+    part(Vector3::new(0.92 * width, roof, cabin_length), -waist - roof, -0.1 * length, [cabin, body]);
     for (x, z) in [(-1.0, -0.62), (1.0, -0.62), (-1.0, 0.62), (1.0, 0.62)] {
         let wheel = Vector3::new(0.12, 0.3, 0.3);
-        let position =
-            place.position + place.rotation * Vector3::new(x * (width - 0.11), -0.3, z * length);
+        let position = place.position + place.rotation * Vector3::new(x * (width - 0.11), -0.3, z * length);
         let place = Placement { position, ..*place };
         let dark = street.skins[0];
-        street
-            .scene
-            .mesh
-            .solid_box(&place, wheel, [dark, dark], shift, true);
+        street.scene.mesh.solid_box(&place, wheel, [dark, dark], shift, true);
     }
 }
 
@@ -72,21 +55,12 @@ fn parked_car(street: &mut Street, arc: f64, side: f64, edge: f64) {
     let (ground, yaw) = street.at(arc, side * lateral);
     let yaw = yaw + street.draw.range(-0.05, 0.05);
     if street.is_free(ground, yaw, [0.95, 2.35]) {
-        car_at(
-            street,
-            &Placement::upright(Vector3::new(ground.x, 0.0, ground.y), yaw),
-        );
+        car_at(street, &Placement::upright(Vector3::new(ground.x, 0.0, ground.y), yaw));
     }
 }
 
 /// Where something stands on the pavement, if there is room for it.
-fn on_pavement(
-    street: &mut Street,
-    arc: f64,
-    side: f64,
-    edge: f64,
-    half: [f64; 2],
-) -> Option<(Vector2<f64>, f64)> {
+fn on_pavement(street: &mut Street, arc: f64, side: f64, edge: f64, half: [f64; 2]) -> Option<(Vector2<f64>, f64)> {
     let lateral = edge + street.draw.range(0.2, street.pavement().max(0.4)) + 0.3 * half[0];
     let (ground, yaw) = street.at(arc, side * lateral);
     street.is_free(ground, yaw, half).then_some((ground, yaw))
@@ -101,27 +75,14 @@ fn tree(street: &mut Street, arc: f64, side: f64, edge: f64) {
     let place = Placement::upright(Vector3::new(ground.x, 0.0, ground.y), yaw);
     let (leaves, bark) = (street.leaves.clone(), street.skins[1]);
     let (leaf, shift) = (street.pick(&leaves), street.shift());
-    street.scene.mesh.prism(
-        &place,
-        street.draw.range(0.12, 0.25),
-        trunk + 0.3,
-        7,
-        bark,
-        shift,
-    );
+    street.scene.mesh.prism(&place, street.draw.range(0.12, 0.25), trunk + 0.3, 7, bark, shift);
     let top = Vector3::new(ground.x, -trunk - 0.8 * crown, ground.y);
     if street.draw.chance(0.65) {
         let half = Vector3::new(crown, crown * street.draw.range(0.8, 1.3), crown);
-        street
-            .scene
-            .mesh
-            .ball(&Placement::upright(top, yaw), half, 1, leaf, shift);
+        street.scene.mesh.ball(&Placement::upright(top, yaw), half, 1, leaf, shift);
     } else {
         let base = Placement::upright(Vector3::new(ground.x, -0.6 * trunk, ground.y), yaw);
-        street
-            .scene
-            .mesh
-            .cone(&base, 0.9 * crown, trunk + 2.0 * crown, 8, leaf, shift);
+        street.scene.mesh.cone(&base, 0.9 * crown, trunk + 2.0 * crown, 8, leaf, shift);
     }
 }
 
@@ -134,53 +95,28 @@ fn post(street: &mut Street, arc: f64, side: f64, edge: f64) {
     let skins = street.skins.clone();
     let (skin, shift) = (street.pick(&skins), street.shift());
     let foot = Vector3::new(ground.x, 0.0, ground.y);
-    street.scene.mesh.prism(
-        &Placement::upright(foot, yaw),
-        radius,
-        height,
-        8,
-        skin,
-        shift,
-    );
+    street.scene.mesh.prism(&Placement::upright(foot, yaw), radius, height, 8, skin, shift);
     if height > 2.2 && street.draw.chance(0.5) {
-        let sign = Vector3::new(
-            street.draw.range(0.3, 0.6),
-            street.draw.range(0.3, 0.6),
-            0.06,
-        );
+        let sign = Vector3::new(street.draw.range(0.3, 0.6), street.draw.range(0.3, 0.6), 0.06);
         let (skin, turn) = (street.pick(&skins), yaw + street.draw.range(-0.4, 0.4));
         let place = Placement::upright(Vector3::new(ground.x, -height + 0.1, ground.y), turn);
-        street
-            .scene
-            .mesh
-            .solid_box(&place, sign, [skin, skin], shift, true);
+        street.scene.mesh.solid_box(&place, sign, [skin, skin], shift, true);
     }
 }
 
 fn hedge(street: &mut Street, arc: f64, side: f64, edge: f64) {
-    let half = Vector3::new(
-        street.draw.range(0.25, 0.6),
-        street.draw.range(0.3, 0.9),
-        street.draw.range(1.0, 2.8),
-    );
+    let half = Vector3::new(street.draw.range(0.25, 0.6), street.draw.range(0.3, 0.9), street.draw.range(1.0, 2.8));
     let Some((ground, yaw)) = on_pavement(street, arc, side, edge, [half.x, half.z]) else {
         return;
     };
     let leaves = street.leaves.clone();
     let (leaf, shift) = (street.pick(&leaves), street.shift());
     let place = Placement::upright(Vector3::new(ground.x, -half.y, ground.y), yaw);
-    street
-        .scene
-        .mesh
-        .solid_box(&place, half, [leaf, leaf], shift, false);
+    street.scene.mesh.solid_box(&place, half, [leaf, leaf], shift, false);
 }
 
 fn crate_or_person(street: &mut Street, arc: f64, side: f64, edge: f64) {
-    let half = Vector3::new(
-        street.draw.range(0.2, 1.1),
-        street.draw.log_range(0.25, 1.9),
-        street.draw.range(0.2, 1.1),
-    );
+    let half = Vector3::new(street.draw.range(0.2, 1.1), street.draw.log_range(0.25, 1.9), street.draw.range(0.2, 1.1));
     let Some((ground, yaw)) = on_pavement(street, arc, side, edge, [half.x, half.z]) else {
         return;
     };
@@ -191,8 +127,5 @@ fn crate_or_person(street: &mut Street, arc: f64, side: f64, edge: f64) {
     let skins = street.skins.clone();
     let (skin, top, shift) = (street.pick(&skins), street.pick(&skins), street.shift());
     let place = Placement::upright(Vector3::new(ground.x, -half.y, ground.y), turn);
-    street
-        .scene
-        .mesh
-        .solid_box(&place, half, [skin, top], shift, false);
+    street.scene.mesh.solid_box(&place, half, [skin, top], shift, false);
 }

@@ -169,11 +169,7 @@ pub struct Material {
 /// a + w (b - a) for colours.
 #[inline(always)]
 pub fn blend(a: [f32; 3], b: [f32; 3], w: f32) -> [f32; 3] {
-    [
-        a[0] + w * (b[0] - a[0]),
-        a[1] + w * (b[1] - a[1]),
-        a[2] + w * (b[2] - a[2]),
-    ]
+    [a[0] + w * (b[0] - a[0]), a[1] + w * (b[1] - a[1]), a[2] + w * (b[2] - a[2])]
 }
 
 /// Adds the visible noise layers at (u, v) metres to a colour.
@@ -210,32 +206,17 @@ impl Material {
 impl Pattern {
     /// The colour with the pattern laid over it; the second colour of the pattern carries `noise` too.
     #[inline(always)]
-    fn apply(
-        &self,
-        colour: [f32; 3],
-        noise: [f32; 3],
-        table: &NoiseTable,
-        [u, v]: [f32; 2],
-        footprint: &Footprint,
-    ) -> [f32; 3] {
+    fn apply(&self, colour: [f32; 3], noise: [f32; 3], table: &NoiseTable, [u, v]: [f32; 2], footprint: &Footprint) -> [f32; 3] {
         let textured = |other: [f32; 3]| [0, 1, 2].map(|c| other[c] + noise[c]);
         match *self {
             Self::Plain => colour,
             Self::Stripes(period, duty, other, strength) => {
                 let f = 1.0 / period;
-                blend(
-                    colour,
-                    textured(other),
-                    strength * pulse(u * f, duty, footprint.width_u() * f),
-                )
+                blend(colour, textured(other), strength * pulse(u * f, duty, footprint.width_u() * f))
             }
             Self::Rows(period, duty, other, strength) => {
                 let f = 1.0 / period;
-                blend(
-                    colour,
-                    textured(other),
-                    strength * pulse(v * f, duty, footprint.width_v() * f),
-                )
+                blend(colour, textured(other), strength * pulse(v * f, duty, footprint.width_v() * f))
             }
             Self::Checker(side, other, strength) => {
                 let f = 0.5 / side;
@@ -243,20 +224,14 @@ impl Pattern {
                 let b = 2.0 * pulse(v * f, 0.5, footprint.width_v() * f) - 1.0;
                 blend(colour, textured(other), strength * (0.5 + 0.5 * a * b))
             }
-            Self::Bricks(length, height, mortar) => {
-                bricks(colour, mortar, [length, height], table, [u, v], footprint)
-            }
+            Self::Bricks(length, height, mortar) => bricks(colour, mortar, [length, height], table, [u, v], footprint),
             Self::Windows(pitch, share, pane) => {
                 let [fu, fv] = [1.0 / pitch[0], 1.0 / pitch[1]];
                 let (x, y) = (u * fu, v * fv);
-                let inside = pulse(x, share[0], footprint.width_u() * fu)
-                    * pulse(y, share[1], footprint.width_v() * fv);
+                let inside = pulse(x, share[0], footprint.width_u() * fu) * pulse(y, share[1], footprint.width_v() * fv);
                 let own = 0.28
                     * footprint.contrast(fu, fv)
-                    * table.cell(
-                        split(x + 0.5 * (1.0 - share[0])).0 + 17,
-                        split(y + 0.5 * (1.0 - share[1])).0,
-                    );
+                    * table.cell(split(x + 0.5 * (1.0 - share[0])).0 + 17, split(y + 0.5 * (1.0 - share[1])).0);
                 blend(colour, textured(pane).map(|c| (c + own).max(0.02)), inside)
             }
         }
@@ -296,27 +271,17 @@ mod tests {
         assert!(pulse(0.7, 0.5, 0.01).abs() < 1e-3);
         assert!((pulse(0.5, 0.5, 0.1) - 0.5).abs() < 1e-5);
         assert!((pulse(-3.2, 0.3, 100.0) - 0.3).abs() < 0.01);
-        assert!(
-            (pulse(-0.9, 0.3, 0.01) - 1.0).abs() < 1e-3,
-            "negative coordinates wrap as positive ones"
-        );
+        assert!((pulse(-0.9, 0.3, 0.01) - 1.0).abs() < 1e-3, "negative coordinates wrap as positive ones");
     }
 
     #[test]
     fn octaves_fade_before_two_pixels_a_cell() {
-        let footprint = |w: f32| Footprint {
-            u: [w, 0.0],
-            v: [0.0, 0.1 * w],
-        };
+        let footprint = |w: f32| Footprint { u: [w, 0.0], v: [0.0, 0.1 * w] };
         assert_eq!(footprint(0.1).contrast(1.0, 1.0), 1.0);
         assert_eq!(footprint(0.5).contrast(1.0, 1.0), 0.0);
         let half = footprint(0.28).contrast(1.0, 1.0);
         assert!(half > 0.2 && half < 0.8);
-        assert_eq!(
-            footprint(0.5).contrast(0.1, 1.0),
-            1.0,
-            "each direction has its own limit"
-        );
+        assert_eq!(footprint(0.5).contrast(0.1, 1.0), 1.0, "each direction has its own limit");
     }
 
     #[test]

@@ -57,9 +57,7 @@ impl Steering {
             .turns
             .iter()
             .filter(|[middle, half, _]| (step - middle).abs() < *half)
-            .map(|[middle, half, peak]| {
-                0.5 * peak * (1.0 + (std::f64::consts::PI * (step - middle) / half).cos())
-            })
+            .map(|[middle, half, peak]| 0.5 * peak * (1.0 + (std::f64::consts::PI * (step - middle) / half).cos()))
             .sum();
         1.7 * (0.63 * self.gentle.at(step)).tanh() + turn
     }
@@ -82,36 +80,22 @@ pub fn drive(draw: &mut Draw, frames: usize) -> Drive {
             let at = frame as f64;
             let point = &path[FRAMES_BEFORE + frame];
             // Weaving and bobbing follow the speed, so that a slow car does not dance.
-            let ground = point.position
-                + point.forward() * LEVER
-                + point.right() * (0.23 * cruise * 1.6 * weave.at(at));
+            let ground = point.position + point.forward() * LEVER + point.right() * (0.23 * cruise * 1.6 * weave.at(at));
             let y = -height + 0.105 * cruise * 1.6 * bob.at(at);
             let jitter = 0.25f64.to_radians();
             Se3 {
-                rotation: orientation(
-                    point.heading,
-                    tilt + jitter * pitch.at(at),
-                    jitter * roll.at(at),
-                ),
+                rotation: orientation(point.heading, tilt + jitter * pitch.at(at), jitter * roll.at(at)),
                 translation: Vector3::new(ground.x, y, ground.y),
             }
         })
         .collect();
-    Drive {
-        path,
-        poses,
-        first: FRAMES_BEFORE,
-    }
+    Drive { path, poses, first: FRAMES_BEFORE }
 }
 
 /// Integrates speed and steering; the road beyond the last frame straightens a little.
 fn drive_path(frames: usize, steering: &Steering, speed_at: impl Fn(f64) -> f64) -> Vec<PathPoint> {
     let mut path = Vec::new();
-    let mut point = PathPoint {
-        position: Vector2::zeros(),
-        heading: 0.0,
-        arc: 0.0,
-    };
+    let mut point = PathPoint { position: Vector2::zeros(), heading: 0.0, arc: 0.0 };
     let mut end = f64::INFINITY;
     for step in 0.. {
         path.push(point);
@@ -123,10 +107,7 @@ fn drive_path(frames: usize, steering: &Steering, speed_at: impl Fn(f64) -> f64)
         }
         let beyond = step as f64 - (FRAMES_BEFORE + frames) as f64;
         let ease = 1.0 / (1.0 + (0.04 * beyond.max(0.0)).powi(2));
-        let (speed, yaw) = (
-            speed_at(step as f64),
-            ease * steering.at(step as f64).to_radians(),
-        );
+        let (speed, yaw) = (speed_at(step as f64), ease * steering.at(step as f64).to_radians());
         let middle = point.heading + 0.5 * yaw;
         point.position += speed * Vector2::new(middle.sin(), middle.cos());
         point.heading += yaw;
@@ -171,16 +152,9 @@ pub fn walk(draw: &mut Draw, frames: usize, reach: Vector3<f64>) -> Vec<Se3> {
     let angles = [(); 3].map(|()| Smooth::new(draw, 3, 22.0, 70.0));
     let rotation = |t: f64| {
         let [yaw, pitch, roll] = [0, 1, 2].map(|i| angles[i].at(t));
-        orientation(
-            turn + 0.95 * yaw,
-            0.42 * pitch.tanh() * 1.2,
-            0.42 * roll.tanh() * 1.2,
-        )
+        orientation(turn + 0.95 * yaw, 0.42 * pitch.tanh() * 1.2, 0.42 * roll.tanh() * 1.2)
     };
-    let (pace, spin) = (
-        Smooth::new(draw, 3, 15.0, 50.0),
-        Smooth::new(draw, 3, 15.0, 50.0),
-    );
+    let (pace, spin) = (Smooth::new(draw, 3, 15.0, 50.0), Smooth::new(draw, 3, 15.0, 50.0));
     let (mut at, mut facing) = (Walker { parameter: 0.0 }, Walker { parameter: 0.0 });
     (0..frames)
         .map(|frame| {
@@ -191,10 +165,7 @@ pub fn walk(draw: &mut Draw, frames: usize, reach: Vector3<f64>) -> Vec<Se3> {
                 let angle = (3.0 + 1.0 * spin.at(t)).clamp(1.55, 4.9).to_radians();
                 facing.advance(angle, |a, b| angle_between(&rotation(a), &rotation(b)));
             }
-            Se3 {
-                rotation: rotation(facing.parameter),
-                translation: position(at.parameter),
-            }
+            Se3 { rotation: rotation(facing.parameter), translation: position(at.parameter) }
         })
         .collect()
 }
@@ -220,8 +191,7 @@ pub fn slide(draw: &mut Draw, frames: usize) -> Vec<Se3> {
             if frame > 0 {
                 x += side * (cruise + 0.07 * pace.at(t)).clamp(0.11, 0.47);
             }
-            let [heading, pitch, roll] = [(0, 0.5f64), (1, 0.24), (2, 0.24)]
-                .map(|(i, a)| (a * angles[i].at(t)).to_radians());
+            let [heading, pitch, roll] = [(0, 0.5f64), (1, 0.24), (2, 0.24)].map(|(i, a)| (a * angles[i].at(t)).to_radians());
             Se3 {
                 rotation: orientation(heading, pitch, roll),
                 translation: Vector3::new(x, -height + 0.11 * vertical.at(t), 0.22 * forward.at(t)),
@@ -239,9 +209,7 @@ mod tests {
         let forward = |h, p| orientation(h, p, 0.0) * Vector3::z();
         assert!(forward(0.3, 0.0).x > 0.0, "heading turns towards +x");
         assert!(forward(0.0, 0.3).y < 0.0, "pitch looks up, y points down");
-        assert!(
-            (angle_between(&Matrix3::identity(), &orientation(0.3, 0.0, 0.0)) - 0.3).abs() < 1e-12
-        );
+        assert!((angle_between(&Matrix3::identity(), &orientation(0.3, 0.0, 0.0)) - 0.3).abs() < 1e-12);
     }
 
     #[test]

@@ -19,12 +19,7 @@ const ROUNDING: f64 = 1e-6;
 /// the last pixel centre), that the source sees it there (a ray through that very place hits the same depth within 1 %), and
 /// that it belongs to the static scene: pixels of the moving object are left out, because depth and camera motion do not
 /// explain them.
-pub fn pair_truth(
-    world: &World,
-    intrinsics: &Intrinsics,
-    target: usize,
-    source: usize,
-) -> PairTruth {
+pub fn pair_truth(world: &World, intrinsics: &Intrinsics, target: usize, source: usize) -> PairTruth {
     let (width, height) = (intrinsics.width, intrinsics.height);
     let target_view = View::new(world, target, intrinsics);
     let source_view = View::new(world, source, intrinsics);
@@ -38,8 +33,7 @@ pub fn pair_truth(
                 continue;
             };
             let moving = world.faces[target_view.faces[hit.index].face].moving;
-            let point =
-                motions[usize::from(moving)].transform(&(intrinsics.ray(column, row) * hit.depth));
+            let point = motions[usize::from(moving)].transform(&(intrinsics.ray(column, row) * hit.depth));
             let Some(place) = intrinsics.project(&point) else {
                 continue;
             };
@@ -55,11 +49,7 @@ pub fn pair_truth(
                     .is_some_and(|seen| (seen.depth - point.z).abs() <= DEPTH_TOLERANCE * point.z);
         }
     }
-    PairTruth {
-        source_from_target: motions[0],
-        flow,
-        visible,
-    }
+    PairTruth { source_from_target: motions[0], flow, visible }
 }
 
 /// Which pixels of a frame see the moving object, row by row.
@@ -68,8 +58,7 @@ pub fn moving_mask(world: &World, intrinsics: &Intrinsics, frame: usize) -> Vec<
     (0..intrinsics.width * intrinsics.height)
         .map(|i| {
             let (u, v) = ((i % intrinsics.width) as f64, (i / intrinsics.width) as f64);
-            view.cast(u, v)
-                .is_some_and(|hit| world.faces[view.faces[hit.index].face].moving)
+            view.cast(u, v).is_some_and(|hit| world.faces[view.faces[hit.index].face].moving)
         })
         .collect()
 }

@@ -37,17 +37,10 @@ impl Light {
         let horizon = colour(draw, 0.7, 0.9, 0.08);
         let light = draw.range(0.5, 0.7);
         Self {
-            sun: Vector3::new(
-                azimuth.sin() * height.cos(),
-                -height.sin(),
-                azimuth.cos() * height.cos(),
-            ),
+            sun: Vector3::new(azimuth.sin() * height.cos(), -height.sin(), azimuth.cos() * height.cos()),
             ambient: draw.range(0.55, 0.72),
             direct: draw.range(0.35, 0.5),
-            sky: [
-                horizon,
-                [0.62 * light, 0.8 * light, 1.15 * light].map(|c| c as f32),
-            ],
+            sky: [horizon, [0.62 * light, 0.8 * light, 1.15 * light].map(|c| c as f32)],
         }
     }
 
@@ -97,12 +90,7 @@ impl Scene {
 
     /// An empty scene along a camera path.
     pub fn new(poses: Vec<Se3>) -> Self {
-        Self {
-            mesh: Mesh::default(),
-            surfaces: Vec::new(),
-            poses,
-            object_poses: Vec::new(),
-        }
+        Self { mesh: Mesh::default(), surfaces: Vec::new(), poses, object_poses: Vec::new() }
     }
 }
 
@@ -116,12 +104,7 @@ impl World {
             Preset::Lateral => lateral::build(seed, config.frames, config.moving_object),
         };
         let light = Light::new(&mut Draw::new(seed, 90));
-        let light_on = scene
-            .mesh
-            .faces
-            .iter()
-            .map(|face| light.on(&face.normal))
-            .collect();
+        let light_on = scene.mesh.faces.iter().map(|face| light.on(&face.normal)).collect();
         Self {
             light_on,
             faces: scene.mesh.faces,
@@ -136,11 +119,7 @@ impl World {
     /// Camera from geometry of static faces and of faces of the moving object at a frame.
     pub fn camera_from(&self, frame: usize) -> [Se3; 2] {
         let camera_from_world = self.poses[frame].inverse();
-        let object = self
-            .object_poses
-            .get(frame)
-            .copied()
-            .unwrap_or_else(Se3::identity);
+        let object = self.object_poses.get(frame).copied().unwrap_or_else(Se3::identity);
         [camera_from_world, camera_from_world * object]
     }
 

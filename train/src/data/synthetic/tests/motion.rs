@@ -27,11 +27,7 @@ fn distance(face: &Face, point: &Vector3<f64>) -> f64 {
 fn camera_keeps_clear_of_all_geometry() {
     for preset in Preset::ALL {
         for seed in 0..6 {
-            let config = SyntheticConfig {
-                preset,
-                seed,
-                ..SyntheticConfig::default()
-            };
+            let config = SyntheticConfig { preset, seed, ..SyntheticConfig::default() };
             let world = World::new(&config, seed as usize);
             for pose in world.poses.iter().step_by(4) {
                 let near = |face: &&Face| {
@@ -51,10 +47,7 @@ fn camera_keeps_clear_of_all_geometry() {
 /// Step lengths (m), rotation angles (degrees) and unit directions of translation in the target frame, over many worlds.
 fn motions(preset: Preset) -> (Vec<f64>, Vec<f64>, Vec<Vector3<f64>>) {
     let (mut steps, mut angles, mut directions) = (Vec::new(), Vec::new(), Vec::new());
-    let config = SyntheticConfig {
-        preset,
-        ..SyntheticConfig::default()
-    };
+    let config = SyntheticConfig { preset, ..SyntheticConfig::default() };
     for sequence in 0..80 {
         let world = World::new(&config, sequence);
         for frame in 1..world.poses.len() {
@@ -82,10 +75,7 @@ fn street_moves_like_a_car() {
     assert!(range(&angles)[1] < 5.0);
     let middle = directions.iter().sum::<Vector3<f64>>().normalize();
     assert!(middle.z > 0.99);
-    let apart: Vec<f64> = directions
-        .iter()
-        .map(|d| d.dot(&middle).clamp(-1.0, 1.0).acos().to_degrees())
-        .collect();
+    let apart: Vec<f64> = directions.iter().map(|d| d.dot(&middle).clamp(-1.0, 1.0).acos().to_degrees()).collect();
     assert!((6.0..9.5).contains(&mean(&apart)), "{}", mean(&apart));
 }
 

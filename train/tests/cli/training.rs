@@ -1,0 +1,194 @@
+//! Training from outside, at the smallest size: what a run leaves, stopping, continuing, failing.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
+
+use dimode::checkpoint::{Checkpoint, hash};
+
+use crate::{Ran, command, dimode, finished, text};
+
+const TINY: [&str; 13] = [
+    "--flow-weights",
+    "random",
+    "--size",
+    "64x64",
+    "--batch",
+    "1",
+    "--set",
+    "eval.worlds=1",
+    "--set",
+    "eval.frames=3",
+    "--set",
+    "data.worlds=2",
+    "--json",
+];
+
+struct Place {
+    folder: tempfile::TempDir,
+}
+
+impl Place {
+    fn new() -> Self {
+        Self { folder: tempfile::tempdir().unwrap() }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn args(&self, name: &str, more: &[&str]) -> Vec<String> {
+        let out = self.path(name);
+        let all = [&["train", "--out", text(&out)], &TINY[..], more].concat();
+        all.into_iter().map(str::to_owned).collect()
+    }
+
+    fn train(&self, name: &str, more: &[&str]) -> Ran {
+        let args = self.args(name, more);
+        dimode(&args.iter().map(String::as_str).collect::<Vec<_>>())
+    }
+
+    fn start(&self, name: &str, more: &[&str]) -> Child {
+        let args = self.args(name, more);
+        let args: Vec<&str> = args.iter().map(String::as_str).collect();
+        command(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+    }
+
+    fn checkpoint(&self, name: &str) -> PathBuf {
+        self.path(name).join("checkpoint.safetensors")
+    }
+}
+
+fn step_of(checkpoint: &Path) -> u64 {
+    Checkpoint::read(checkpoint).unwrap().state["step"].as_u64().unwrap()
+}
+
+#[track_caller]
+fn wait_until(child: &mut Child, what: impl Fn() -> bool) {
+    let began = Instant::now();
+    while !what() && child.try_wait().unwrap().is_none() {
+        assert!(began.elapsed() < Duration::from_secs(120), "waited too long");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[cfg(unix)]
+fn signal(child: &Child, name: &str) {
+    let sent = std::process::Command::new("kill").args([name, &child.id().to_string()]).status();
+    assert!(sent.unwrap().success());
+}
+
+#[test]
+fn a_run_leaves_report_metrics_log_and_can_be_used() {
+    let place = Place::new();
+    let metrics = place.train("run", &["--steps", "2"]).succeeded();
+    let metrics: serde_json::Value = serde_json::from_str(&metrics).unwrap();
+    let own = metrics["depth"]["rows"][0]["abs_rel"].as_f64().unwrap();
+    let run = place.path("run");
+    for file in ["report.html", "metrics.json", "log.jsonl", "config.toml", "checkpoint.safetensors"] {
+        assert!(run.join(file).is_file(), "{file}");
+    }
+    assert_eq!(fs::read_to_string(run.join("log.jsonl")).unwrap().lines().count(), 2);
+    place.train("run", &["--steps", "2"]).refused(2, &["finished run is already there"]);
+
+    let scores = dimode(&["eval", "depth", "--run", text(&run), "--json"]).succeeded();
+    let scores: serde_json::Value = serde_json::from_str(&scores).unwrap();
+    assert_eq!(scores["depth"]["rows"][0]["abs_rel"].as_f64().unwrap(), own, "one way to compute a number");
+
+    let (data, out) = (place.path("frames"), place.path("predicted"));
+    crate::frames(&data, 4);
+    let infer = ["infer", "--run", text(&run), "--data", text(&data), "--out", text(&out), "--json"];
+    let summary: serde_json::Value = serde_json::from_str(&dimode(&infer).succeeded()).unwrap();
+    assert_eq!(summary[0]["frames"], 4);
+    let sequence = out.join(summary[0]["name"].as_str().unwrap());
+    assert_eq!(fs::read_dir(sequence.join("depth")).unwrap().count(), 4);
+    assert_eq!(fs::read_dir(sequence.join("depth_colour")).unwrap().count(), 4);
+    let trajectory = fs::read_to_string(sequence.join("trajectory.kitti.txt")).unwrap();
+    assert_eq!(trajectory.lines().count(), 4);
+    dimode(&infer).refused(2, &["not empty"]);
+}
+
+#[test]
+fn own_frames_train_without_any_truth() {
+    let place = Place::new();
+    let data = place.path("frames");
+    crate::frames(&data, 5);
+    place.train("run", &["--steps", "1", "--data", text(&data)]).succeeded();
+    assert!(place.path("run/report.html").is_file());
+}
+
+#[cfg(unix)]
+#[test]
+fn interrupted_and_killed_runs_continue_with_the_same_bits() {
+    let place = Place::new();
+    let steps = ["--steps", "6", "--set", "train.checkpoint_every=2"];
+    place.train("whole", &[&steps[..], &["--threads", "2"]].concat()).succeeded();
+    for (name, how) in [("interrupted", "-INT"), ("killed", "-KILL")] {
+        let mut child = place.start(name, &[&steps[..], &["--threads", "1"]].concat());
+        let checkpoint = place.checkpoint(name);
+        wait_until(&mut child, || checkpoint.exists() || child_log(&place, name) >= 1 && how == "-INT");
+        signal(&child, how);
+        let status = child.wait().unwrap();
+        if how == "-INT" {
+            // The signal may come after the last step, which is a normal end.
+            assert!(matches!(status.code(), Some(130 | 0)), "{status}");
+        }
+        let run = place.path(name);
+        dimode(&["train", "--resume", text(&run), "--json"]).succeeded();
+        assert_eq!(hash(&checkpoint).unwrap(), hash(&place.checkpoint("whole")).unwrap(), "{name}");
+        assert_eq!(child_log(&place, name), 6);
+    }
+}
+
+fn child_log(place: &Place, name: &str) -> usize {
+    fs::read_to_string(place.path(name).join("log.jsonl")).map_or(0, |text| text.lines().count())
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_saves_and_ends_with_130() {
+    let place = Place::new();
+    let mut child = place.start("run", &["--steps", "100000"]);
+    wait_until(&mut child, || child_log(&place, "run") >= 1);
+    signal(&child, "-INT");
+    let ran = finished(child.wait_with_output().unwrap());
+    assert_eq!(ran.code, 130, "{}", ran.err);
+    assert!(ran.err.contains("finishing this step") && ran.err.contains("--resume"), "{}", ran.err);
+    assert_eq!(step_of(&place.checkpoint("run")), child_log(&place, "run") as u64);
+    assert!(!place.path("run/metrics.json").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_full_disk_leaves_no_half_checkpoint() {
+    if !Path::new("/dev/full").exists() {
+        eprintln!("skipped: no /dev/full here");
+        return;
+    }
+    let place = Place::new();
+    let run = place.path("run");
+    fs::create_dir(&run).unwrap();
+    std::os::unix::fs::symlink("/dev/full", run.join(".checkpoint.safetensors.tmp")).unwrap();
+    place.train("run", &["--steps", "1"]).refused_after_notes(1, &["checkpoint.safetensors", "free some space"]);
+    assert!(!place.checkpoint("run").exists());
+}
+
+#[test]
+fn values_that_are_not_finite_stop_the_run_and_keep_the_checkpoint() {
+    let place = Place::new();
+    let wild = ["--steps", "9", "--learning-rate", "1e30", "--set", "train.checkpoint_every=1", "--set", "train.warmup=0"];
+    place.train("run", &wild).refused_after_notes(1, &["step ", "not finite", "sample", "fix: "]);
+    assert!(step_of(&place.checkpoint("run")) >= 1);
+    assert!(!place.path("run/metrics.json").exists());
+}
+
+impl Ran {
+    /// As `refused`, but the error comes after lines about the work.
+    #[track_caller]
+    fn refused_after_notes(mut self, code: i32, parts: &[&str]) {
+        let at = self.err.find("error: ").unwrap_or_else(|| panic!("no error is told: {}", self.err));
+        self.err.drain(..at);
+        self.refused(code, parts);
+    }
+}
