@@ -15,7 +15,7 @@
 //! assert_eq!(grads.wrt(x).data(), [2.0, -4.0, 6.0]);
 //! ```
 //!
-//! Operations live one to a file in [`ops`]; anyone can define another with [`Tape::push`]. [`gradcheck`] compares the
+//! Operations live one to a file in [`ops`]; anyone can define another with [`Tape::push`]. [`gradcheck()`] compares the
 //! recorded gradients of any function with central differences.
 //!
 //! The same inputs give the same bits on any number of threads: work is cut into chunks of fixed size ([`par`]) and

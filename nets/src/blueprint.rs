@@ -68,7 +68,7 @@ impl Blueprint {
         self.declarations.iter().filter(|d| d.kind == Kind::Parameter).map(|d| d.dims.iter().product::<usize>()).sum()
     }
 
-    /// Start values drawn from `seed`, see [`Init::draw`].
+    /// Start values drawn from `seed`, by the rule of its [`crate::Init`].
     pub fn init<T: Scalar>(&self, seed: u64) -> ParamSet<T> {
         self.build(|d| init::draw(&d.init, seed, &d.path, d.dims.iter().product()))
     }

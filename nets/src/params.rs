@@ -25,7 +25,7 @@ impl<T: Scalar> Entry<T> {
     /// Puts a tensor under its stored dimensions.
     ///
     /// # Panics
-    /// When the tensor does not have the shape that [`shape_of`] gives for `dims`.
+    /// When the tensor does not have the shape that `shape_of` gives for `dims`.
     #[track_caller]
     pub fn new(dims: Vec<usize>, kind: Kind, tensor: Tensor<T>) -> Self {
         assert_eq!(tensor.shape(), shape_of(&dims), "entry: tensor shape does not fit the stored dimensions {dims:?}");
@@ -42,7 +42,7 @@ impl<T: Scalar> Entry<T> {
         self.kind
     }
 
-    /// The values, shaped by [`shape_of`].
+    /// The values, shaped by `shape_of`.
     pub fn tensor(&self) -> &Tensor<T> {
         &self.tensor
     }
