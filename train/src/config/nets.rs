@@ -62,7 +62,9 @@ pub struct NetsConfig {
     pub flow_weights: FlowWeights,
     /// Refinements of the flow per pair.
     pub flow_iterations: usize,
-    /// Smallest depth the depth network can say, in its own unit (metres for the embedded world).
+    /// Smallest depth the depth network can say, in the free unit of monocular training. The usual 0.1 to 100 is made for
+    /// pre-trained encoders: from random weights the pose network is slow to reach translations of that size, and the
+    /// disparity saturates first (docs/training.md).
     pub min_depth: f64,
     /// Largest depth the depth network can say.
     pub max_depth: f64,
@@ -76,8 +78,8 @@ impl Default for NetsConfig {
             flow: FlowNetKind::NanoRaftD4,
             flow_weights: FlowWeights::Embedded,
             flow_iterations: 4,
-            min_depth: 0.1,
-            max_depth: 100.0,
+            min_depth: 0.01,
+            max_depth: 10.0,
         }
     }
 }
