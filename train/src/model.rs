@@ -1,8 +1,8 @@
 //! The three networks of a run, and their weights.
 
-use dimode_autodiff::{Shape, Tensor, Var};
+use dimode_autodiff::{Shape, Tape, Tensor, Var};
 use dimode_geometry::Se3;
-use dimode_nets::{DepthNet, FlowNet, Network, ParamSet, PoseNet};
+use dimode_nets::{Binder, DepthNet, FlowNet, Network, ParamSet, PoseNet};
 use nalgebra::Vector3;
 
 use crate::config::NetsConfig;
@@ -40,6 +40,8 @@ pub struct Model {
     pub flow: FlowNet,
     /// Disparity to depth.
     pub range: DepthRange,
+    /// Factors on the pose network's rotation vector and translation.
+    pub pose_scale: [f64; 2],
     /// Refinements of the flow network.
     pub flow_iterations: usize,
 }
@@ -63,6 +65,7 @@ impl Model {
             pose: PoseNet::new(nets.pose.config()),
             flow: FlowNet::new(nets.flow.config()),
             range: DepthRange { min: nets.min_depth, max: nets.max_depth },
+            pose_scale: [nets.rotation_scale, nets.translation_scale],
             flow_iterations: nets.flow_iterations,
         }
     }
@@ -77,9 +80,18 @@ impl Model {
         self.range.depth_values(&self.depth.predict(&weights.depth, images))
     }
 
+    /// Rotation vectors and translations `second_from_first`, each `[n, 3, 1, 1]`, on the tape.
+    pub fn motion<'t>(&self, binder: &mut Binder<'t, f32>, first: Var<'t, f32>, second: Var<'t, f32>) -> [Var<'t, f32>; 2] {
+        let said = self.pose.forward(binder, first, second);
+        [said.axis_angle.scale(self.pose_scale[0]), said.translation.scale(self.pose_scale[1])]
+    }
+
     /// Motions `second_from_first` of image pairs `[n, 3, h, w]`, the earlier frame first.
     pub fn predict_motion(&self, weights: &Weights, first: &Tensor<f32>, second: &Tensor<f32>) -> Vec<Se3> {
-        let (rotation, translation) = self.pose.predict(&weights.pose, first, second);
+        let tape = Tape::new();
+        let mut binder = Binder::frozen(&tape, &weights.pose);
+        let (a, b) = (tape.constant(first.clone()), tape.constant(second.clone()));
+        let [rotation, translation] = self.motion(&mut binder, a, b).map(|x| x.value());
         let vector = |t: &Tensor<f32>, n: usize| Vector3::from_fn(|i, _| f64::from(t.at(n, i, 0, 0)));
         (0..first.shape().n()).map(|n| Se3::from_rotation_vector(&vector(&rotation, n), vector(&translation, n))).collect()
     }

@@ -13,12 +13,13 @@ use dimode_geometry::losses as geometric;
 use dimode_geometry::taped::{self, masks};
 
 use crate::batch::{Batch, join};
-use crate::config::{Config, LossConfig, Sources, StageConfig};
+use crate::config::{Config, LossConfig, SCALE_ANCHOR, Sources, StageConfig};
 use crate::losses::flow_consistency::flow_consistency;
 use crate::losses::flow_photometric::pixel_grid;
 use crate::losses::local_structure::local_structure;
 use crate::losses::min_reprojection::min_reprojection;
 use crate::losses::photometric::{photometric, photometric_value};
+use crate::losses::scale_anchor::scale_anchor;
 use crate::losses::smoothness::smoothness;
 use crate::model::DepthRange;
 use crate::trainer::{NonFinite, dot};
@@ -160,6 +161,7 @@ pub fn measure(
     let mut terms = Vec::new();
     scene.photometric(&mut terms);
     scene.smoothness(&mut terms);
+    scene.scale_anchor(&mut terms);
     scene.local_structure(stage, &mut terms);
     if let Some(flow) = flow {
         scene.geometric(stage, flow, &mut terms);
@@ -266,6 +268,15 @@ impl<'a, 'l> Scene<'a, 'l> {
         });
         let value = parts.reduce(|a, b| a.add(b)).expect("at least one scale");
         terms.push(Term { name: "smooth", weight, value, valid: 1.0 });
+    }
+
+    /// `scale`: the mean disparity stays where the sigmoid has slope.
+    fn scale_anchor(&self, terms: &mut Vec<Term<'l>>) {
+        let weight = self.config.loss.scale_anchor;
+        if weight > 0.0 {
+            let value = scale_anchor(self.leaves.disparities[0], SCALE_ANCHOR);
+            terms.push(Term { name: "scale", weight, value, valid: 1.0 });
+        }
     }
 
     /// `l_loc`: local structure against a pseudo-depth.

@@ -177,8 +177,8 @@ impl Trainer {
         let sources = with_sources.then(|| disparities[0].slice(0, n, 2 * n));
         let first = tape.constant(join(&[&images.previous, &images.target]));
         let second = tape.constant(join(&[&images.target, &images.next]));
-        let motion = self.model.pose.forward(pose, first, second);
-        Outputs { disparities: targets, source_disparity: sources, rotation: motion.axis_angle, translation: motion.translation }
+        let [rotation, translation] = self.model.motion(pose, first, second);
+        Outputs { disparities: targets, source_disparity: sources, rotation, translation }
     }
 
     /// Loss of the flow network on some pairs of the batch, and the gradients of its weights.

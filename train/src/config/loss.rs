@@ -68,6 +68,9 @@ impl Default for FlowLossConfig {
     }
 }
 
+/// Mean disparity at which the scale anchor holds a batch.
+pub const SCALE_ANCHOR: f64 = 0.2;
+
 /// Terms of the loss. Weights of the geometric and local terms belong to the stages ([`super::StageConfig`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -79,6 +82,10 @@ pub struct LossConfig {
     /// Weight of the plain difference of rigid and optical flow, in pixels. Not a term of the paper: a competitor, off by
     /// default.
     pub flow_consistency: f64,
+    /// Weight of the scale anchor, which holds the mean disparity of a batch near [`SCALE_ANCHOR`]. Every other term is blind
+    /// to a common scale of depth and translation, so this changes no solution; it keeps the sigmoid from saturating while
+    /// the pose network knows nothing yet.
+    pub scale_anchor: f64,
     /// Disparity scales in the photometric loss, from the finest.
     pub scales: usize,
     /// Neighbours that the geometric terms use.
@@ -97,6 +104,7 @@ impl Default for LossConfig {
             smoothness: 1e-3,
             auto_mask: true,
             flow_consistency: 0.0,
+            scale_anchor: 0.1,
             scales: 1,
             sources: Sources::Both,
             local_structure: LocalStructure::default(),
@@ -111,6 +119,7 @@ impl LossConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         not_negative("loss.smoothness", self.smoothness)?;
         not_negative("loss.flow_consistency", self.flow_consistency)?;
+        not_negative("loss.scale_anchor", self.scale_anchor)?;
         require(self.flow.pairs >= 1, "loss.flow.pairs", self.flow.pairs, "must be at least 1")?;
         not_negative("loss.flow.smoothness", self.flow.smoothness)?;
         not_negative("loss.flow.rate", self.flow.rate)?;

@@ -22,7 +22,7 @@ pub use data::DataConfig;
 pub use error::ConfigError;
 pub use eval::EvalConfig;
 pub use geometric::{AxialForm, Convention, GeometricConfig, PlanarForm, RadialForm, TangentialForm};
-pub use loss::{FlowLossConfig, LocalStructure, LocalTerm, LossConfig, PseudoDepth, Sources};
+pub use loss::{FlowLossConfig, LocalStructure, LocalTerm, LossConfig, PseudoDepth, SCALE_ANCHOR, Sources};
 pub use nets::{FlowWeights, NetsConfig};
 pub use suggest::nearest;
 pub use train::{Decay, StageConfig, TrainConfig};

@@ -60,11 +60,15 @@ pub struct NetsConfig {
     /// First weights of the flow network: `embedded`, `random` or a file.
     #[serde(with = "by_name")]
     pub flow_weights: FlowWeights,
+    /// Factor on the rotation vector that the pose network says. The reference head says hundredths of a radian, for
+    /// networks that train for days; 1 is the reference.
+    pub rotation_scale: f64,
+    /// Factor on the translation that the pose network says; 1 is the reference.
+    pub translation_scale: f64,
     /// Refinements of the flow per pair.
     pub flow_iterations: usize,
-    /// Smallest depth the depth network can say, in the free unit of monocular training. The usual 0.1 to 100 is made for
-    /// pre-trained encoders: from random weights the pose network is slow to reach translations of that size, and the
-    /// disparity saturates first (docs/training.md).
+    /// Smallest depth the depth network can say, in the free unit of monocular training. Half the disparity range is twice
+    /// this depth; a unit near 1 keeps rotation and translation equally easy to learn (docs/training.md).
     pub min_depth: f64,
     /// Largest depth the depth network can say.
     pub max_depth: f64,
@@ -78,8 +82,10 @@ impl Default for NetsConfig {
             flow: FlowNetKind::NanoRaftD4,
             flow_weights: FlowWeights::Embedded,
             flow_iterations: 4,
-            min_depth: 0.01,
-            max_depth: 10.0,
+            rotation_scale: 5.0,
+            translation_scale: 2.5,
+            min_depth: 0.1,
+            max_depth: 100.0,
         }
     }
 }
@@ -93,6 +99,8 @@ impl NetsConfig {
         let advice =
             "only those of nano_raft_d4 are part of the program; use \"random\", or a file that 'dimode pretrain flow' wrote";
         require(!embedded, "nets.flow_weights", &self.flow_weights, advice)?;
+        positive("nets.rotation_scale", self.rotation_scale)?;
+        positive("nets.translation_scale", self.translation_scale)?;
         positive("nets.min_depth", self.min_depth)?;
         positive("nets.max_depth", self.max_depth)?;
         require(self.max_depth > self.min_depth, "nets.max_depth", self.max_depth, "must be above nets.min_depth")

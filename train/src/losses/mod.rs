@@ -7,4 +7,5 @@ pub mod local_structure;
 pub mod min_reprojection;
 pub mod photometric;
 pub mod raft_sequence;
+pub mod scale_anchor;
 pub mod smoothness;
