@@ -40,8 +40,8 @@ pub struct Model {
     pub flow: FlowNet,
     /// Disparity to depth.
     pub range: DepthRange,
-    /// Factors on the pose network's rotation vector and translation.
-    pub pose_scale: [f64; 2],
+    /// Factors on the pose network's rotation vector, tangential and radial translation.
+    pub pose_scale: [f64; 3],
     /// Refinements of the flow network.
     pub flow_iterations: usize,
 }
@@ -65,7 +65,7 @@ impl Model {
             pose: PoseNet::new(nets.pose.config()),
             flow: FlowNet::new(nets.flow.config()),
             range: DepthRange { min: nets.min_depth, max: nets.max_depth },
-            pose_scale: [nets.rotation_scale, nets.translation_scale],
+            pose_scale: [nets.rotation_scale, nets.tangential_scale, nets.radial_scale],
             flow_iterations: nets.flow_iterations,
         }
     }
@@ -83,7 +83,10 @@ impl Model {
     /// Rotation vectors and translations `second_from_first`, each `[n, 3, 1, 1]`, on the tape.
     pub fn motion<'t>(&self, binder: &mut Binder<'t, f32>, first: Var<'t, f32>, second: Var<'t, f32>) -> [Var<'t, f32>; 2] {
         let said = self.pose.forward(binder, first, second);
-        [said.axis_angle.scale(self.pose_scale[0]), said.translation.scale(self.pose_scale[1])]
+        let [rotation, tangential, radial] = self.pose_scale;
+        let factors =
+            Tensor::from_fn(said.translation.shape(), |_, c, _, _| if c < 2 { tangential as f32 } else { radial as f32 });
+        [said.axis_angle.scale(rotation), said.translation.mul(binder.tape().constant(factors))]
     }
 
     /// Motions `second_from_first` of image pairs `[n, 3, h, w]`, the earlier frame first.

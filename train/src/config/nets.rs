@@ -63,8 +63,12 @@ pub struct NetsConfig {
     /// Factor on the rotation vector that the pose network says. The reference head says hundredths of a radian, for
     /// networks that train for days; 1 is the reference.
     pub rotation_scale: f64,
-    /// Factor on the translation that the pose network says; 1 is the reference.
-    pub translation_scale: f64,
+    /// Factor on the tangential translation (x, y) that the pose network says; 1 is the reference. Small beside
+    /// `rotation_scale`: while depth is still flat, yaw and sideways motion look alike, and the larger step wins.
+    pub tangential_scale: f64,
+    /// Factor on the radial translation (z) that the pose network says; 1 is the reference. Large: depth learns from radial
+    /// flow only once z is of the right size.
+    pub radial_scale: f64,
     /// Refinements of the flow per pair.
     pub flow_iterations: usize,
     /// Smallest depth the depth network can say, in the free unit of monocular training. Half the disparity range is twice
@@ -82,8 +86,9 @@ impl Default for NetsConfig {
             flow: FlowNetKind::NanoRaftD4,
             flow_weights: FlowWeights::Embedded,
             flow_iterations: 4,
-            rotation_scale: 5.0,
-            translation_scale: 2.5,
+            rotation_scale: 10.0,
+            tangential_scale: 1.0,
+            radial_scale: 10.0,
             min_depth: 0.1,
             max_depth: 100.0,
         }
@@ -100,7 +105,8 @@ impl NetsConfig {
             "only those of nano_raft_d4 are part of the program; use \"random\", or a file that 'dimode pretrain flow' wrote";
         require(!embedded, "nets.flow_weights", &self.flow_weights, advice)?;
         positive("nets.rotation_scale", self.rotation_scale)?;
-        positive("nets.translation_scale", self.translation_scale)?;
+        positive("nets.tangential_scale", self.tangential_scale)?;
+        positive("nets.radial_scale", self.radial_scale)?;
         positive("nets.min_depth", self.min_depth)?;
         positive("nets.max_depth", self.max_depth)?;
         require(self.max_depth > self.min_depth, "nets.max_depth", self.max_depth, "must be above nets.min_depth")
