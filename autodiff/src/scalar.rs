@@ -85,7 +85,7 @@ pub trait Scalar:
 }
 
 macro_rules! scalar {
-    ($t:ident) => {
+    ($t:ident, $exp:path, $tanh:path) => {
         impl Scalar for $t {
             const ZERO: Self = 0.0;
             const ONE: Self = 1.0;
@@ -100,7 +100,15 @@ macro_rules! scalar {
             fn to_f64(self) -> f64 {
                 self as f64
             }
-            scalar!(@unary $t: sqrt exp ln abs floor tanh sin cos acos);
+            #[inline(always)]
+            fn exp(self) -> Self {
+                $exp(self)
+            }
+            #[inline(always)]
+            fn tanh(self) -> Self {
+                $tanh(self)
+            }
+            scalar!(@unary $t: sqrt ln abs floor sin cos acos);
             scalar!(@binary $t: min max atan2);
             #[inline(always)]
             fn mul_add(self, a: Self, b: Self) -> Self {
@@ -134,5 +142,5 @@ macro_rules! scalar {
     )*};
 }
 
-scalar!(f32);
-scalar!(f64);
+scalar!(f32, crate::fast::exp, crate::fast::tanh);
+scalar!(f64, f64::exp, f64::tanh);

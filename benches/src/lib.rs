@@ -1,1 +1,29 @@
-//! Placeholder while the crate is laid out.
+//! What the benchmarks share: inputs of realistic size and magnitude.
+//!
+//! `cargo bench -p dimode-benches` runs them all; `conv`, `loss_core` and `training_step` are the targets.
+
+use dimode::batch::{Batch, Images};
+use dimode::config::Config;
+use dimode::run::training_frames;
+use dimode_autodiff::gradcheck::random;
+use dimode_autodiff::{Shape, Tensor};
+
+/// The first batch of a default run of the given batch size.
+///
+/// # Panics
+/// When the embedded world cannot be rendered.
+pub fn rendered_batch(config: &Config) -> Batch {
+    let frames = training_frames(config).expect("the embedded world needs no files");
+    let items: Vec<_> = (0..config.train.batch).map(|i| (i, 1)).collect();
+    Batch::load(frames.as_ref(), &items, &config.train, config.seed, 0).expect("rendered frames")
+}
+
+/// A tensor of colours in [0, 1).
+pub fn colours(seed: u64, shape: Shape) -> Tensor<f32> {
+    random(seed, shape, 0.0, 1.0)
+}
+
+/// Three images each of one size, random colours.
+pub fn random_images(shape: Shape) -> Images {
+    Images { target: colours(1, shape), previous: colours(2, shape), next: colours(3, shape) }
+}

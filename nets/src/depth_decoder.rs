@@ -32,7 +32,7 @@ impl DepthDecoder {
         };
         let head = |(position, &scale): (usize, &usize)| {
             let path = format!("{file}:decoder.{}.conv", 10 + position);
-            (scale, ReflectConv::new(path, widths[scale], 1))
+            (scale, ReflectConv::head(path, widths[scale], 1))
         };
         Self { units: (0..5).map(unit).collect(), heads: scales.iter().enumerate().map(head).collect() }
     }

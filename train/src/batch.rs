@@ -25,7 +25,11 @@ pub struct Images {
 pub struct Batch {
     /// Name of each sample, for messages.
     pub names: Vec<String>,
-    /// Images as they are: what the losses compare.
+    /// Sequence and target frame of each sample.
+    pub snippets: Vec<(usize, usize)>,
+    /// Whether left and right of each sample are exchanged.
+    pub flipped: Vec<bool>,
+    /// Images without colour jitter: what the losses compare.
     pub plain: Images,
     /// Images as the depth and pose networks see them.
     pub seen: Images,
@@ -59,6 +63,8 @@ impl Batch {
         };
         Ok(Batch {
             names: samples.iter().map(|s| s.name.clone()).collect(),
+            snippets: items.to_vec(),
+            flipped: samples.iter().map(|s| s.flipped).collect(),
             plain: images(|s| &s.plain),
             seen: images(|s| &s.seen),
             intrinsics: samples.iter().map(|s| s.intrinsics).collect(),
@@ -68,6 +74,7 @@ impl Batch {
 
 struct Sample {
     name: String,
+    flipped: bool,
     plain: [Image; 3],
     seen: [Image; 3],
     intrinsics: Intrinsics,
@@ -82,12 +89,13 @@ fn sample(
     let mut taken = snippet(dataset, sequence, frame)?;
     // Drawn whether used or not, so that one option does not change the random numbers of another.
     let (flip, jitter, draw) = (rng.random::<f64>() < 0.5, rng.random::<f64>() < 0.5, Jitter::draw(rng));
-    if flip && config.flip {
+    let flipped = flip && config.flip;
+    if flipped {
         taken = flip_snippet(&taken);
     }
     let plain = [&taken.sources[0], &taken.target, &taken.sources[1]].map(|f| f.image.clone());
     let seen = if jitter && config.jitter { plain.each_ref().map(|i| draw.apply(i)) } else { plain.clone() };
-    Ok(Sample { name: taken.name.clone(), plain, seen, intrinsics: taken.target.intrinsics })
+    Ok(Sample { name: taken.name.clone(), flipped, plain, seen, intrinsics: taken.target.intrinsics })
 }
 
 /// Tensors joined along the samples.

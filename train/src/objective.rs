@@ -13,7 +13,7 @@ use dimode_geometry::losses as geometric;
 use dimode_geometry::taped::{self, masks};
 
 use crate::batch::{Batch, join};
-use crate::config::{Config, LossConfig, SCALE_ANCHOR, Sources, StageConfig};
+use crate::config::{Config, LossConfig, SCALE_ANCHOR, Sources, StageConfig, StaticMask};
 use crate::losses::flow_consistency::flow_consistency;
 use crate::losses::flow_photometric::pixel_grid;
 use crate::losses::local_structure::local_structure;
@@ -307,8 +307,11 @@ impl<'a, 'l> Scene<'a, 'l> {
         }
         let options = self.config.loss.geometric.options();
         let source = self.leaves.source_disparity.expect("sources were run for this stage");
-        let still = masks::static_pixels(&rigid.value(), flow, Some(&visible));
-        let mask = self.chosen_sources(masks::all_of(&[&still, &visible]));
+        let mask = self.chosen_sources(match self.config.loss.geometric.static_mask {
+            StaticMask::None => visible,
+            StaticMask::Mean => masks::static_pixels(&rigid.value(), flow, Some(&visible)),
+            StaticMask::Relative => masks::relatively_static(&rigid.value(), flow, Some(&visible)),
+        });
         let inputs = geometric::PairInputs {
             target_depth: self.depth,
             source_depth: self.range.depth(source),

@@ -15,6 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::data::synthetic::{Preset, Split, SyntheticConfig, SyntheticDataset};
 use crate::data::{Dataset, Frame, PairTruth};
 use crate::losses::raft_sequence::raft_sequence;
+use crate::mirror::{mirrored, mirrored_flow};
 use crate::model::stack;
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::schedule::{Decay, learning_rate};
@@ -53,7 +54,7 @@ impl Default for PretrainConfig {
             presets: vec![Preset::Street, Preset::Handheld, Preset::Lateral],
             width: 128,
             height: 64,
-            steps: 2500,
+            steps: 5000,
             batch: 4,
             iterations: 4,
             learning_rate: 1e-3,
@@ -257,26 +258,9 @@ fn sample(first: &Frame, second: &Frame, truth: &PairTruth, rng: Option<&mut Cha
     [a, b, flow, valid]
 }
 
-fn mirrored(x: &Tensor<f32>) -> Tensor<f32> {
-    let last = x.shape().w() - 1;
-    Tensor::from_fn(x.shape(), |n, c, h, w| x.at(n, c, h, last - w))
-}
-
-fn mirrored_flow(x: &Tensor<f32>) -> Tensor<f32> {
-    let last = x.shape().w() - 1;
-    Tensor::from_fn(x.shape(), |n, c, h, w| if c == 0 { -x.at(n, c, h, last - w) } else { x.at(n, c, h, last - w) })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn mirroring_turns_the_horizontal_flow_around() {
-        let flow = Tensor::from_vec(Shape::new(1, 2, 1, 2), vec![1.0, 2.0, 3.0, 4.0]);
-        assert_eq!(mirrored_flow(&flow).data(), [-2.0, -1.0, 4.0, 3.0]);
-        assert_eq!(mirrored_flow(&mirrored_flow(&flow)), flow);
-    }
 
     #[test]
     fn end_point_error_ignores_invalid_pixels() {

@@ -4,28 +4,24 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-/// Snippets of a dataset in an order that mixes a few sequences at a time.
-///
-/// Sequences are shuffled once per pass over the data and taken in groups; the snippets of a group are shuffled together. A
-/// batch thus mixes sequences, while only the frames of one group must be at hand.
+/// Snippets of a dataset in random order, shuffled anew for each pass over the data.
 #[derive(Clone, Debug)]
 pub struct Sampler {
     lengths: Vec<usize>,
     seed: u64,
-    group: usize,
     batch: usize,
     cached: Option<(u64, Vec<(usize, usize)>)>,
 }
 
 impl Sampler {
-    /// A sampler over sequences of the given lengths in frames; `group` sequences are mixed.
+    /// A sampler over sequences of the given lengths in frames.
     ///
     /// # Panics
-    /// When no sequence has three frames, or `group` or `batch` is 0.
-    pub fn new(lengths: Vec<usize>, seed: u64, group: usize, batch: usize) -> Self {
+    /// When no sequence has three frames, or `batch` is 0.
+    pub fn new(lengths: Vec<usize>, seed: u64, batch: usize) -> Self {
         assert!(lengths.iter().any(|&l| l >= 3), "sampler: no sequence has three frames");
-        assert!(group > 0 && batch > 0, "sampler: group {group} and batch {batch} must be positive");
-        Sampler { lengths, seed, group, batch, cached: None }
+        assert!(batch > 0, "sampler: an empty batch");
+        Sampler { lengths, seed, batch, cached: None }
     }
 
     /// Snippets in one pass over the data.
@@ -60,14 +56,9 @@ impl Sampler {
     fn shuffled(&self, pass: u64) -> Vec<(usize, usize)> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(pass);
-        let mut sequences: Vec<usize> = (0..self.lengths.len()).collect();
-        sequences.shuffle(&mut rng);
-        let mut order = Vec::with_capacity(self.snippets());
-        for group in sequences.chunks(self.group) {
-            let start = order.len();
-            order.extend(group.iter().flat_map(|&s| (1..self.lengths[s].max(2) - 1).map(move |f| (s, f))));
-            order[start..].shuffle(&mut rng);
-        }
+        let targets = |s: usize| 1..self.lengths[s].max(2) - 1;
+        let mut order: Vec<_> = (0..self.lengths.len()).flat_map(|s| targets(s).map(move |f| (s, f))).collect();
+        order.shuffle(&mut rng);
         order
     }
 }
@@ -78,7 +69,7 @@ mod tests {
 
     #[test]
     fn a_pass_visits_every_snippet_once() {
-        let mut sampler = Sampler::new(vec![5, 3, 2, 8], 1, 2, 5);
+        let mut sampler = Sampler::new(vec![5, 3, 2, 8], 1, 5);
         assert_eq!(sampler.snippets(), 3 + 1 + 6);
         let mut seen: Vec<_> = (0..2).flat_map(|step| sampler.batch(step)).collect();
         seen.sort();
@@ -88,7 +79,7 @@ mod tests {
 
     #[test]
     fn a_batch_depends_on_seed_and_step_only() {
-        let new = |seed| Sampler::new(vec![10; 20], seed, 4, 6);
+        let new = |seed| Sampler::new(vec![10; 20], seed, 6);
         let mut walked = new(3);
         (0..50).for_each(|s| drop(walked.batch(s)));
         assert_eq!(walked.batch(7), new(3).batch(7));

@@ -49,7 +49,7 @@ mod tests {
 
     #[test]
     fn the_papers_stages_take_their_shares() {
-        let config = TrainConfig { steps: 300, ..TrainConfig::default() };
+        let config = TrainConfig { steps: 300, stages: StageConfig::paper(), ..TrainConfig::default() };
         let schedule = Schedule::new(&config);
         assert_eq!(schedule.ends().map(|e| e.1).collect::<Vec<_>>(), [50, 150, 300]);
         assert_eq!(schedule.stage(49).0, 0);

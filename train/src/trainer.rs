@@ -7,12 +7,13 @@
 use std::sync::Arc;
 
 use dimode_autodiff::{Pool, Tape, Tensor, Var, par};
-use dimode_nets::{Binder, FlowOptions, Mode, ParamGradient, ParamSet, StatisticsUpdate};
+use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, StatisticsUpdate};
 
 use crate::batch::{Batch, join};
 use crate::config::{Config, StageConfig};
 use crate::model::{Model, Weights};
 use crate::objective::{self, Outputs, TermReport};
+use crate::observed::observe;
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::{clip_scale, gradient_norm};
 
@@ -66,7 +67,7 @@ impl Trainer {
 
     /// Takes one step at the given learning rate. With `probe` each term's gradient is measured apart.
     ///
-    /// `observed` is the flow that [`observe_flow`] found for this batch; it is found here when it is not given and needed.
+    /// `observed` is the flow that [`observe`] found for this batch; it is found here when it is not given and needed.
     ///
     /// # Errors
     /// When a loss term or a gradient is not finite; nothing has changed then.
@@ -140,7 +141,7 @@ impl Trainer {
         let found;
         let flow = match observed {
             None if objective::needs_flow(&self.config.loss, stage) => {
-                found = observe_flow(&self.model, &self.weights.flow, batch, &self.pool);
+                found = observe(&self.model, &self.weights.flow, batch, &self.pool);
                 Some(&found)
             }
             given => given,
@@ -171,14 +172,27 @@ impl Trainer {
         let images = &batch.seen;
         let n = batch.names.len();
         let with_sources = objective::needs_source_depth(stage);
-        let seen = if with_sources { join(&[&images.target, &images.previous, &images.next]) } else { images.target.clone() };
+        let detached = self.config.loss.geometric.detach_source_depth;
+        let together = with_sources && !detached;
+        let seen = if together { join(&[&images.target, &images.previous, &images.next]) } else { images.target.clone() };
         let disparities = self.model.depth.forward(depth, tape.constant(seen));
+        let sources = with_sources.then(|| match together {
+            true => disparities[0].slice(0, n, 2 * n),
+            false => tape.constant(self.source_disparity(batch, stage.train_depth)),
+        });
         let targets = disparities.iter().take(self.config.loss.scales).map(|d| d.slice(0, 0, n)).collect();
-        let sources = with_sources.then(|| disparities[0].slice(0, n, 2 * n));
         let first = tape.constant(join(&[&images.previous, &images.target]));
         let second = tape.constant(join(&[&images.target, &images.next]));
         let [rotation, translation] = self.model.motion(pose, first, second);
         Outputs { disparities: targets, source_disparity: sources, rotation, translation }
+    }
+
+    /// Disparities of the sources, previous ones first, `[2 n, 1, h, w]`: values only, on a tape that is gone afterwards.
+    fn source_disparity(&self, batch: &Batch, train: bool) -> Tensor<f32> {
+        let images = join(&[&batch.seen.previous, &batch.seen.next]);
+        let tape = Tape::with_pool(self.pool.clone());
+        let mut net = Binder::selective(&tape, &self.weights.depth, if train { Mode::Train } else { Mode::Eval }, |_| false);
+        self.model.depth.forward(&mut net, tape.constant(images))[0].value()
     }
 
     /// Loss of the flow network on some pairs of the batch, and the gradients of its weights.
@@ -207,17 +221,6 @@ struct Scene {
     depth: Vec<ParamGradient<f32>>,
     pose: Vec<ParamGradient<f32>>,
     statistics: [Vec<StatisticsUpdate<f32>>; 2],
-}
-
-/// Optical flow from the targets of a batch to both sources, `[2 n, 2, h, w]`, previous first; no gradient.
-pub fn observe_flow(model: &Model, weights: &ParamSet<f32>, batch: &Batch, pool: &Arc<Pool<f32>>) -> Tensor<f32> {
-    let images = &batch.plain;
-    let tape = Tape::with_pool(pool.clone());
-    let net = Binder::frozen(&tape, weights);
-    let first = tape.constant(join(&[&images.target, &images.target]));
-    let second = tape.constant(join(&[&images.previous, &images.next]));
-    let options = FlowOptions { iterations: Some(model.flow_iterations), last_only: true, ..FlowOptions::default() };
-    model.flow.trace(&net, first, second, &options).flows[0].value()
 }
 
 fn binder<'t>(tape: &'t Tape<f32>, params: &ParamSet<f32>, train: bool) -> Binder<'t, f32> {

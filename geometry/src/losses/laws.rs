@@ -314,3 +314,26 @@ fn flow_that_leaves_the_view_is_dropped() {
     assert!(pair.mask.data().iter().zip(view.data()).all(|(m, v)| m <= v));
     assert!((0..H).all(|v| pair.mask.at(0, 0, v, 0) == 0.0));
 }
+
+#[test]
+fn planar_pixels_leave_out_images_with_little_tangential_motion() {
+    let leaves = perturbed(motions([-0.5, 0.55]));
+    let tape = Tape::new();
+    let v = leaves.clone().map(|x| tape.leaf(x));
+    let base = LossOptions { min_tangential_flow: 0.0, ..LossOptions::pixels() };
+    let pair = pair_of(&v, &masks::everywhere(shape(1)), &base);
+    let a = pair.translation.value();
+    let share = |n: usize| {
+        let [x, y, z] = [0, 1, 2].map(|c| a.at(n, c, 0, 0));
+        x.hypot(y) / x.hypot(y).hypot(z)
+    };
+    let shares: Vec<f64> = (0..2).map(share).collect();
+    let counts = |limit: f64| {
+        let options = LossOptions { min_tangential_share: limit, ..base };
+        planar(&pair, &options).counts.iter().map(|&c| c > 0).collect::<Vec<_>>()
+    };
+    assert_eq!(counts(0.0), [true, true]);
+    for limit in [0.999 * shares[0], 1.001 * shares[0], 0.999 * shares[1], 1.001 * shares[1]] {
+        assert_eq!(counts(limit), shares.iter().map(|&s| s >= limit).collect::<Vec<_>>(), "{shares:?} {limit}");
+    }
+}

@@ -33,6 +33,9 @@ pub struct LossOptions {
     pub z_min: f64,
     /// Shortest predicted tangential flow of the planar pixel form, pixels.
     pub min_tangential_flow: f64,
+    /// Smallest share of the translation's length that must be tangential for the planar pixel form: the direction of a
+    /// tangential part near zero is noise, and its slope grows as the part shrinks.
+    pub min_tangential_share: f64,
     /// Rounding of the tip of absolute values in the pixel forms, pixels; 0 for none.
     pub smooth_px: f64,
     /// Cuts the gradient that the aligned flows send to the source depth; a property of the pair, so all four
@@ -75,6 +78,7 @@ impl LossOptions {
             kappa: 0.05,
             z_min: MIN_DEPTH,
             min_tangential_flow: 0.5,
+            min_tangential_share: 0.0,
             smooth_px: 0.0,
             detach_depth_in_alignment: false,
             detach_direction: false,

@@ -18,7 +18,8 @@ pub enum PlanarVariant {
     /// `2 (1 - |sum f| / sum |f|)`: long flows count more, no threshold.
     Weighted,
     /// Mean distance, in pixels, of the flow from the line along the predicted direction `f o a_tan`, over
-    /// pixels whose predicted flow `|f o a_tan| / z` exceeds `min_tangential_flow`.
+    /// pixels whose predicted flow `|f o a_tan| / z` exceeds `min_tangential_flow`, in images with
+    /// `|a_tan| >= min_tangential_share |a|`.
     PerpendicularPixels,
 }
 
@@ -97,9 +98,14 @@ fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions
     let x = pair.constant(&pair.focal_u).mul(pair.a(0));
     let y = pair.constant(&pair.focal_v).mul(pair.a(1));
     let size = length(x, y, 0.0);
-    let (depth, sizes) = (pair.target_depth.value(), size.value());
+    let (depth, sizes, translation) = (pair.target_depth.value(), size.value(), pair.translation.value());
+    let tangential = |n: usize| {
+        let [x, y, z] = [0, 1, 2].map(|c| translation.at(n, c, 0, 0).to_f64());
+        x.hypot(y) >= options.min_tangential_share * x.hypot(y).hypot(z)
+    };
+    let usable: Vec<bool> = (0..sizes.shape().n()).map(tangential).collect();
     let mask = masks::and_where(&pair.mask, |n, i| {
-        sizes.at(n, 0, 0, 0).to_f64() > options.min_tangential_flow * depth.plane(n, 0)[i].to_f64()
+        usable[n] && sizes.at(n, 0, 0, 0).to_f64() > options.min_tangential_flow * depth.plane(n, 0)[i].to_f64()
     });
     let direction = |c: Var<'t, T>| {
         let c = c.div_guarded(size, 1e-12);

@@ -60,20 +60,46 @@ pub fn above<T: Scalar>(map: &Tensor<T>, channel: usize, threshold: f64) -> Tens
 #[must_use]
 #[track_caller]
 pub fn static_pixels<T: Scalar>(rigid: &Tensor<T>, optical: &Tensor<T>, within: Option<&Tensor<T>>) -> Tensor<T> {
+    below_mean(rigid, optical, within, 1.0, |distance, _| distance)
+}
+
+/// [`static_pixels`] by the distance relative to the flow, `|f_rig - f_opt|^2 / (1 + |f_opt|^2)`, below four times its mean.
+///
+/// The plain test leaves out the pixels that are furthest off, and those are the near ones as long as depth or motion is
+/// wrong: what moves most can never be corrected. Here only pixels stay out that disagree far more than the rest.
+#[must_use]
+#[track_caller]
+pub fn relatively_static<T: Scalar>(rigid: &Tensor<T>, optical: &Tensor<T>, within: Option<&Tensor<T>>) -> Tensor<T> {
+    below_mean(rigid, optical, within, 4.0, |distance, flow| distance / (1.0 + flow))
+}
+
+/// Pixels where `measure(|f_rig - f_opt|^2, |f_opt|^2)` is below `factor` times its mean.
+#[track_caller]
+fn below_mean<T: Scalar>(
+    rigid: &Tensor<T>,
+    optical: &Tensor<T>,
+    within: Option<&Tensor<T>>,
+    factor: f64,
+    measure: impl Fn(f64, f64) -> f64 + Sync,
+) -> Tensor<T> {
     let s = rigid.shape();
-    assert!(like(s) == like(optical.shape()), "static_pixels: {s} and {} differ", optical.shape());
-    let inside = |n: usize, i: usize| within.is_none_or(|m| m.plane(n, 0)[i] != T::ZERO);
-    let distance = |n: usize, i: usize| {
-        let part = |c: usize| (rigid.plane(n, c)[i] - optical.plane(n, c)[i]).to_f64();
-        part(0) * part(0) + part(1) * part(1)
-    };
-    let limits: Vec<f64> = (0..s.n())
-        .map(|n| {
-            let chosen = || (0..s.plane()).filter(|&i| inside(n, i));
-            chosen().map(|i| distance(n, i)).sum::<f64>() / chosen().count().max(1) as f64
-        })
-        .collect();
-    from_fn(s, |n, i| inside(n, i) && distance(n, i) < limits[n])
+    assert!(like(s) == like(optical.shape()), "static pixels: {s} and {} differ", optical.shape());
+    let masks = par::map_indices(s.n(), |n| {
+        let (ru, rv) = (rigid.plane(n, 0), rigid.plane(n, 1));
+        let (ou, ov) = (optical.plane(n, 0), optical.plane(n, 1));
+        let inside = within.map(|m| m.plane(n, 0));
+        let square = |x: T, y: T| x.to_f64() * x.to_f64() + y.to_f64() * y.to_f64();
+        let measured: Vec<Option<f64>> = (0..s.plane())
+            .map(|i| {
+                let counts = inside.is_none_or(|m| m[i] != T::ZERO);
+                counts.then(|| measure(square(ru[i] - ou[i], rv[i] - ov[i]), square(ou[i], ov[i])))
+            })
+            .collect();
+        let (sum, count) = measured.iter().flatten().fold((0.0, 0), |(s, c), d| (s + d, c + 1));
+        let limit = factor * sum / f64::from(count.max(1));
+        measured.into_iter().map(|d| if d.is_some_and(|d| d < limit) { T::ONE } else { T::ZERO }).collect::<Vec<T>>()
+    });
+    Tensor::from_vec(like(s), masks.concat())
 }
 
 /// Backward flow read where the forward flow ends (bilinear, 0 outside), (N,2,H,W).
@@ -144,6 +170,17 @@ mod tests {
     fn borders_belong_to_the_view() {
         let mask = in_view(&flow([1.0, 0.0, 1.001, f64::NAN], [0.0, 1.0, 0.0, 0.0]));
         assert_eq!(mask.to_vec(), [1.0, 1.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_large_error_on_a_large_flow_is_relatively_static() {
+        let shape = Shape::new(1, 2, 1, 6);
+        let optical = Tensor::from_vec(shape, [vec![1.0, 1.0, 1.0, 1.0, 1.0, 20.0], vec![0.0; 6]].concat());
+        let rigid = Tensor::from_vec(shape, [vec![0.5, 0.5, 0.5, 0.5, 6.0, 10.0], vec![0.0; 6]].concat());
+        // Squared distances 0.25 (four times), 25, 100: only the large flow is beyond their mean of 21.
+        assert_eq!(static_pixels(&rigid, &optical, None).to_vec(), [1.0, 1.0, 1.0, 1.0, 0.0, 0.0]);
+        // Relative to 1 + |f|^2: 0.125 (four times), 12.5, 0.249; four times the mean is 8.8.
+        assert_eq!(relatively_static::<f64>(&rigid, &optical, None).to_vec(), [1.0, 1.0, 1.0, 1.0, 0.0, 1.0]);
     }
 
     #[test]

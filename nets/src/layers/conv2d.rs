@@ -14,7 +14,15 @@ pub struct ConvLayer {
     kernel: (usize, usize),
     options: Conv2d,
     bias: bool,
-    kaiming: bool,
+    start: Start,
+}
+
+/// How weights start; biases start at [`Init::fan_in`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Start {
+    FanIn,
+    KaimingFanOut,
+    Elu,
 }
 
 impl ConvLayer {
@@ -28,7 +36,7 @@ impl ConvLayer {
             kernel: (kernel, kernel),
             options: Conv2d { stride: (1, 1), padding: (padding, padding), dilation: (1, 1), groups: 1, pad_mode: PadMode::Zero },
             bias: true,
-            kaiming: false,
+            start: Start::FanIn,
         }
     }
 
@@ -65,7 +73,14 @@ impl ConvLayer {
     /// With weights that start Kaiming normal (fan-out) in place of uniform.
     #[must_use]
     pub fn kaiming(mut self) -> Self {
-        self.kaiming = true;
+        self.start = Start::KaimingFanOut;
+        self
+    }
+
+    /// With weights that start at the spread that an ELU behind them asks for ([`Init::elu`]).
+    #[must_use]
+    pub fn before_elu(mut self) -> Self {
+        self.start = Start::Elu;
         self
     }
 
@@ -89,7 +104,11 @@ impl ConvLayer {
         let (kh, kw) = self.kernel;
         let inputs = self.inputs / self.options.groups;
         let default = Init::fan_in(inputs * kh * kw);
-        let weight = if self.kaiming { Init::kaiming_fan_out(self.outputs * kh * kw) } else { default };
+        let weight = match self.start {
+            Start::FanIn => default,
+            Start::KaimingFanOut => Init::kaiming_fan_out(self.outputs * kh * kw),
+            Start::Elu => Init::elu(inputs * kh * kw),
+        };
         blueprint.parameter(self.weight_path(), &[self.outputs, inputs, kh, kw], weight);
         if self.bias {
             blueprint.parameter(self.bias_path(), &[self.outputs], default);

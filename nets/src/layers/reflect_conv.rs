@@ -14,6 +14,11 @@ pub struct ReflectConv {
 impl ReflectConv {
     /// The unit whose convolution is stored at `path`.
     pub fn new(path: impl Into<String>, inputs: usize, outputs: usize) -> Self {
+        Self { conv: ConvLayer::new(path, inputs, outputs, 3).reflect().before_elu() }
+    }
+
+    /// The same for [`ReflectConv::linear`]: no ELU follows, and the weights start smaller.
+    pub fn head(path: impl Into<String>, inputs: usize, outputs: usize) -> Self {
         Self { conv: ConvLayer::new(path, inputs, outputs, 3).reflect() }
     }
 

@@ -38,24 +38,24 @@ pub struct PretrainFlowArgs {
     /// Kinds of worlds, taken in turn
     #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = preset(), default_values = ["street", "handheld", "lateral"])]
     preset_mix: Vec<Preset>,
-    /// Training steps [default: 3000]
-    #[arg(long, value_name = "N")]
-    steps: Option<usize>,
-    /// Pairs in a step [default: 8]
-    #[arg(long, value_name = "N")]
-    batch: Option<usize>,
+    /// Training steps
+    #[arg(long, value_name = "N", default_value_t = PretrainConfig::default().steps)]
+    steps: usize,
+    /// Pairs in a step
+    #[arg(long, value_name = "N", default_value_t = PretrainConfig::default().batch)]
+    batch: usize,
     /// Size of the frames in pixels [default: 128x64]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Refinements of the flow [default: 4]
-    #[arg(long, value_name = "N")]
-    iterations: Option<usize>,
-    /// Full learning rate [default: 0.001]
-    #[arg(long, value_name = "RATE")]
-    learning_rate: Option<f64>,
-    /// Seed of weights, worlds and augmentation [default: 1]
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
+    /// Refinements of the flow
+    #[arg(long, value_name = "N", default_value_t = PretrainConfig::default().iterations)]
+    iterations: usize,
+    /// Full learning rate
+    #[arg(long, value_name = "RATE", default_value_t = PretrainConfig::default().learning_rate)]
+    learning_rate: f64,
+    /// Seed of weights, worlds and augmentation
+    #[arg(long, value_name = "N", default_value_t = PretrainConfig::default().seed)]
+    seed: u64,
     /// Replace a file that is already there
     #[arg(long)]
     force: bool,
@@ -99,18 +99,18 @@ impl PretrainFlowArgs {
     fn settings(self) -> anyhow::Result<PretrainConfig> {
         let base = PretrainConfig::default();
         let size = self.size.unwrap_or(Size { width: base.width, height: base.height });
-        let steps = self.steps.unwrap_or(base.steps);
+
         let config = PretrainConfig {
             flow: self.net,
             presets: self.preset_mix,
             width: size.width,
             height: size.height,
-            steps,
-            batch: self.batch.unwrap_or(base.batch),
-            iterations: self.iterations.unwrap_or(base.iterations),
-            learning_rate: self.learning_rate.unwrap_or(base.learning_rate),
-            warmup: base.warmup.min(steps / 2),
-            seed: self.seed.unwrap_or(base.seed),
+            steps: self.steps,
+            batch: self.batch,
+            iterations: self.iterations,
+            learning_rate: self.learning_rate,
+            warmup: base.warmup.min(self.steps / 2),
+            seed: self.seed,
         };
         let whole = |value: usize| value >= 64 && value.is_multiple_of(32);
         let refuse = |ok: bool, what: String, advice: &str| if ok { Ok(()) } else { Err(UsageError::new(what, advice)) };

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use super::failure::{Exit, UsageError};
 use super::options::{Size, Stages, preset};
 use super::{interrupt, output};
-use crate::config::{Config, FlowWeights, GeometricConfig, Preset};
+use crate::config::{Config, FlowWeights, GeometricConfig, Preset, StageConfig};
 use crate::progress::{Bar, Progress};
 use crate::run::{self, RunFolder, TrainOutcome, TrainRequest};
 
@@ -84,6 +84,9 @@ pub struct TrainArgs {
     /// Stages to train: 1, 1,2 or 1,2,3; the steps of the others go to the last one named
     #[arg(long, value_name = "LIST")]
     stages: Option<Stages>,
+    /// Lengths of the stages (5, 10, 15 of 30 epochs) and learning rate (1e-4) of the paper, meant for pre-trained encoders
+    #[arg(long)]
+    paper_schedule: bool,
     /// Form of the geometric losses
     #[arg(long, value_name = "FORM")]
     loss: Option<LossForm>,
@@ -102,7 +105,7 @@ pub struct TrainArgs {
     /// Go on with the run in this folder, with its own settings
     #[arg(long, value_name = "DIR", conflicts_with_all = [
         "config", "data", "sequences", "preset", "quick", "steps", "batch", "seed", "learning_rate", "size", "stages",
-        "loss", "flow_weights", "set", "out", "force",
+        "paper_schedule", "loss", "flow_weights", "set", "out", "force",
     ])]
     resume: Option<PathBuf>,
     /// Print the metrics as JSON instead of tables
@@ -169,6 +172,10 @@ impl TrainArgs {
             (data.width, data.height) = (width, height);
         }
         replace(&mut config.seed, self.seed);
+        if self.paper_schedule {
+            config.train.stages = StageConfig::paper();
+            config.train.learning_rate = 1e-4;
+        }
         replace(&mut config.train.steps, self.steps);
         replace(&mut config.train.batch, self.batch);
         replace(&mut config.train.learning_rate, self.learning_rate);
@@ -205,6 +212,9 @@ fn default_out(config: &Config) -> PathBuf {
     if let Some(only) = &config.train.only_stages {
         let numbers: Vec<String> = only.iter().map(usize::to_string).collect();
         name += &format!("-stages{}", numbers.join(""));
+    }
+    if config.train.stages == StageConfig::paper() {
+        name += "-paper";
     }
     if config.loss.geometric == GeometricConfig::literal() {
         name += "-literal";

@@ -21,7 +21,7 @@ pub struct EvalConfig {
 
 impl Default for EvalConfig {
     fn default() -> Self {
-        Self { worlds: 6, frames: 24, min_depth: 0.1, max_depth: 80.0 }
+        Self { worlds: 12, frames: 16, min_depth: 0.1, max_depth: 80.0 }
     }
 }
 

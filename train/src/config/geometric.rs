@@ -82,6 +82,19 @@ pub enum RadialForm {
     Literal,
 }
 
+/// Which pixels count as part of the static scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StaticMask {
+    /// All.
+    None,
+    /// Squared difference of rigid and optical flow below its mean over the image.
+    Mean,
+    /// Squared difference relative to the flow below four times its mean: large flows may be far off at first.
+    #[default]
+    Relative,
+}
+
 impl From<PlanarForm> for losses::PlanarVariant {
     fn from(form: PlanarForm) -> Self {
         match form {
@@ -142,6 +155,8 @@ pub struct GeometricConfig {
     pub tangential: TangentialForm,
     /// Form of the radial loss.
     pub radial: RadialForm,
+    /// Which pixels count as part of the static scene.
+    pub static_mask: StaticMask,
     /// Shortest flow whose direction counts, in pixels.
     pub tau_flow: f64,
     /// Smallest flow component that a ratio may divide by, in pixels.
@@ -156,6 +171,8 @@ pub struct GeometricConfig {
     pub kappa: f64,
     /// Shortest predicted tangential flow of the planar pixel form, in pixels.
     pub min_tangential_flow: f64,
+    /// Smallest tangential share of a translation for the planar pixel form to say anything about its image.
+    pub min_tangential_share: f64,
     /// Rounding of the tip of absolute values in the pixel forms, in pixels; 0 for none.
     pub smooth_pixels: f64,
     /// Images with a smaller share of usable pixels are left out of a batch's mean.
@@ -176,6 +193,7 @@ impl Default for GeometricConfig {
             axial: AxialForm::PerpendicularPixels,
             tangential: TangentialForm::FlowPixels,
             radial: RadialForm::FlowPixels,
+            static_mask: StaticMask::Relative,
             tau_flow: 0.1,
             tau_ratio: 0.1,
             q_min: 1.0,
@@ -183,8 +201,9 @@ impl Default for GeometricConfig {
             tau_translation: 1e-3,
             kappa: 0.05,
             min_tangential_flow: 0.5,
+            min_tangential_share: 0.3,
             smooth_pixels: 0.0,
-            min_valid_share: 0.01,
+            min_valid_share: 0.1,
             z_min: 1e-3,
             detach_source_depth: true,
             detach_direction: false,
@@ -201,6 +220,8 @@ impl GeometricConfig {
             axial: AxialForm::Literal,
             tangential: TangentialForm::Literal,
             radial: RadialForm::Literal,
+            static_mask: StaticMask::Mean,
+            min_valid_share: 0.01,
             detach_source_depth: false,
             ..Self::default()
         }
@@ -225,6 +246,7 @@ impl GeometricConfig {
             kappa: self.kappa,
             z_min: self.z_min,
             min_tangential_flow: self.min_tangential_flow,
+            min_tangential_share: self.min_tangential_share,
             smooth_px: self.smooth_pixels,
             detach_depth_in_alignment: self.detach_source_depth,
             detach_direction: self.detach_direction,
@@ -239,6 +261,7 @@ impl GeometricConfig {
         not_negative("loss.geometric.q_min", self.q_min)?;
         positive("loss.geometric.gate", self.gate)?;
         not_negative("loss.geometric.min_tangential_flow", self.min_tangential_flow)?;
+        fraction("loss.geometric.min_tangential_share", self.min_tangential_share)?;
         not_negative("loss.geometric.smooth_pixels", self.smooth_pixels)?;
         fraction("loss.geometric.min_valid_share", self.min_valid_share)?;
         positive("loss.geometric.tau_translation", self.tau_translation)?;

@@ -87,7 +87,7 @@ impl Default for NetsConfig {
             flow_weights: FlowWeights::Embedded,
             flow_iterations: 4,
             rotation_scale: 10.0,
-            tangential_scale: 1.0,
+            tangential_scale: 3.0,
             radial_scale: 10.0,
             min_depth: 0.1,
             max_depth: 100.0,

@@ -60,12 +60,13 @@ fn wrong_types_and_broken_toml_name_the_line() {
 }
 
 #[test]
-fn paper_stages_have_the_printed_weights() {
-    let stages = StageConfig::paper();
-    let weights: Vec<_> = stages.iter().map(|s| (s.lambda1, s.lambda2, s.lambda3, s.train_flow)).collect();
-    assert_eq!(weights, [(0.0, 0.0, 0.01, true), (0.05, 0.0, 0.01, false), (0.05, 0.1, 0.01, false)]);
-    let total: f64 = stages.iter().map(|s| s.share).sum();
-    assert!((total - 1.0).abs() < 1e-12);
+fn stages_have_the_printed_weights() {
+    for stages in [StageConfig::paper(), StageConfig::nano()] {
+        let weights: Vec<_> = stages.iter().map(|s| (s.lambda1, s.lambda2, s.lambda3, s.train_flow)).collect();
+        assert_eq!(weights, [(0.0, 0.0, 0.01, true), (0.05, 0.0, 0.01, false), (0.05, 0.1, 0.01, false)]);
+        let total: f64 = stages.iter().map(|s| s.share).sum();
+        assert!((total - 1.0).abs() < 1e-12);
+    }
 }
 
 #[test]

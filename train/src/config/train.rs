@@ -49,9 +49,20 @@ fn yes() -> bool {
 }
 
 impl StageConfig {
-    /// The three stages of the paper: 5, 10 and 15 of 30 parts with weights (0, 0, 0.01), (0.05, 0, 0.01) and
-    /// (0.05, 0.1, 0.01); the flow network is trained in the first and frozen after.
+    /// The three stages as the paper has them: 5, 10 and 15 of 30 epochs.
     pub fn paper() -> Vec<Self> {
+        Self::three([5.0, 10.0, 15.0])
+    }
+
+    /// The same stages for small networks without pre-trained encoders, which learn little from `l_pho` alone and most from
+    /// the last stage: 2, 4 and 24 parts of 30.
+    pub fn nano() -> Vec<Self> {
+        Self::three([2.0, 4.0, 24.0])
+    }
+
+    /// Weights (0, 0, 0.01), (0.05, 0, 0.01), (0.05, 0.1, 0.01); the flow network is trained in the first stage and frozen
+    /// after. `parts` are the lengths in thirtieths of all steps.
+    fn three(parts: [f64; 3]) -> Vec<Self> {
         let stage = |name: &str, parts: f64, lambda1, lambda2, train_flow| Self {
             name: name.to_owned(),
             share: parts / 30.0,
@@ -63,9 +74,9 @@ impl StageConfig {
             train_pose: true,
         };
         vec![
-            stage("1 joint", 5.0, 0.0, 0.0, true),
-            stage("2 directions", 10.0, 0.05, 0.0, false),
-            stage("3 ratios", 15.0, 0.05, 0.1, false),
+            stage("1 joint", parts[0], 0.0, 0.0, true),
+            stage("2 directions", parts[1], 0.05, 0.0, false),
+            stage("3 ratios", parts[2], 0.05, 0.1, false),
         ]
     }
 }
@@ -110,8 +121,8 @@ pub struct TrainConfig {
 impl Default for TrainConfig {
     fn default() -> Self {
         Self {
-            steps: 3000,
-            batch: 8,
+            steps: 3600,
+            batch: 4,
             learning_rate: 1e-3,
             weight_decay: 1e-2,
             betas: [0.9, 0.999],
@@ -124,7 +135,7 @@ impl Default for TrainConfig {
             jitter: true,
             checkpoint_every: 250,
             only_stages: None,
-            stages: StageConfig::paper(),
+            stages: StageConfig::nano(),
         }
     }
 }

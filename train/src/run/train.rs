@@ -16,13 +16,14 @@ use crate::config::{Config, Decay as DecayConfig};
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::objective::needs_flow;
+use crate::observed::ObservedFlow;
 use crate::optim::adamw::{Moments, State};
 use crate::optim::schedule::{Decay, learning_rate};
 use crate::progress::Progress;
 use crate::runlog::{RunLog, StepRecord};
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
-use crate::trainer::{StepReport, Trainer, observe_flow};
+use crate::trainer::{StepReport, Trainer};
 
 /// Steps between measurements of each term's gradient.
 const PROBE_EVERY: u64 = 25;
@@ -45,10 +46,11 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
     let (mut trainer, mut step) = start(request, &folder)?;
     let mut log = if request.resume { RunLog::resume(&folder.log(), step)? } else { RunLog::create(&folder.log())? };
     let lengths: Vec<usize> = (0..dataset.sequence_count()).map(|s| dataset.sequence_len(s)).collect();
-    let mut sampler = Sampler::new(lengths, config.seed, config.train.batch, config.train.batch);
+    let mut sampler = Sampler::new(lengths, config.seed, config.train.batch);
     let schedule = Schedule::new(&config.train);
     let steps = config.train.steps;
     let load = |items: Vec<(usize, usize)>, step| Batch::load(dataset.as_ref(), &items, &config.train, config.seed, step);
+    let observed = ObservedFlow::default();
     let mut prepared = None;
     progress.start(steps, "training");
     while step < steps {
@@ -61,6 +63,9 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
             Some(ready) => ready,
             None => Prepared { batch: load(sampler.batch(step as usize), step)?, flow: None },
         };
+        if stage.train_flow {
+            observed.clear();
+        }
         let rate = rate_of(config, step);
         let probe = step.is_multiple_of(PROBE_EVERY);
         let next = (step + 1 < steps).then(|| sampler.batch(step as usize + 1));
@@ -72,7 +77,7 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
             || -> Result<Option<Prepared>> {
                 let Some(items) = next else { return Ok(None) };
                 let batch = load(items, step + 1)?;
-                let flow = eyes.map(|(model, weights, pool)| observe_flow(&model, &weights, &batch, &pool));
+                let flow = eyes.map(|(model, weights, pool)| observed.of(&model, &weights, &batch, &pool));
                 Ok(Some(Prepared { batch, flow }))
             },
         );

@@ -11,6 +11,14 @@ pub fn colour(draw: &mut Draw, lo: f64, hi: f64, saturation: f64) -> [f32; 3] {
     [0.0, 2.1, 4.2].map(|phase| (light * (1.0 + amount * (hue + phase).cos())).clamp(0.04, 0.96) as f32)
 }
 
+/// An albedo of building stone, plaster or paving: grey to warm, now and then cool.
+pub fn stone(draw: &mut Draw, lo: f64, hi: f64) -> [f32; 3] {
+    let light = draw.range(lo, hi);
+    let warm = draw.range(-0.06, 0.22);
+    let red = if warm > 0.0 { warm * draw.range(0.0, 0.6) } else { 0.0 };
+    [light * (1.0 + 0.5 * warm + red), light, light * (1.0 - warm - 0.5 * red)].map(|c| c.clamp(0.04, 0.96) as f32)
+}
+
 /// The range of cell sizes of a noise stack, metres, and how much the cells are stretched along both coordinates.
 #[derive(Clone, Copy, Debug)]
 pub struct Grain {
@@ -55,12 +63,12 @@ impl Grain {
 
 /// A wall of a building: windows, bricks or plaster. `scale` 1 for streets, smaller for rooms.
 pub fn facade(draw: &mut Draw) -> Material {
-    let base = colour(draw, 0.32, 0.75, 0.25);
+    let base = stone(draw, 0.32, 0.75);
     let mut octaves = Grain::new(3.0, 0.1, 0.13).octaves(draw);
     octaves.extend(Grain::new(0.8, 0.15, 0.10).stretched(6.0, 1.0).octaves(draw));
-    let pane = colour(draw, 0.08, 0.4, 0.3);
+    let pane = colour(draw, 0.08, 0.35, 0.15);
     let pattern = match draw.index(6) {
-        0 => Pattern::Bricks(draw.range(0.5, 1.2) as f32, draw.range(0.25, 0.5) as f32, colour(draw, 0.5, 0.8, 0.1)),
+        0 => Pattern::Bricks(draw.range(0.5, 1.2) as f32, draw.range(0.25, 0.5) as f32, stone(draw, 0.5, 0.8)),
         1 => Pattern::Rows(draw.range(0.5, 1.5) as f32, 0.4, pane, 0.6),
         _ => Pattern::Windows(
             [draw.range(1.2, 3.0) as f32, draw.range(1.4, 3.2) as f32],
@@ -115,8 +123,25 @@ pub fn foliage(draw: &mut Draw) -> Material {
     Material { base, octaves: Grain::new(1.5, 0.06, 0.16).octaves(draw), pattern: Pattern::Plain }
 }
 
+/// Paving: plain, or in slabs.
+pub fn paving(draw: &mut Draw) -> Material {
+    let base = stone(draw, 0.4, 0.66);
+    let mut octaves = Grain::new(2.4, 0.1, 0.12).octaves(draw);
+    octaves.extend(Grain::new(0.8, 0.15, 0.11).stretched(1.0, 6.0).octaves(draw));
+    let pattern = match draw.index(3) {
+        0 => Pattern::Plain,
+        _ => Pattern::Bricks(draw.range(0.4, 1.0) as f32, draw.range(0.3, 0.7) as f32, stone(draw, 0.3, 0.7)),
+    };
+    Material { base, octaves, pattern }
+}
+
 /// Open ground: grass, gravel or paving, with grains stretched along neither axis.
 pub fn open_ground(draw: &mut Draw) -> Material {
-    let base = colour(draw, 0.32, 0.58, 0.22);
+    let base = if draw.chance(0.5) {
+        let light = draw.range(0.3, 0.5);
+        [light * draw.range(0.7, 1.05), light, light * 0.6].map(|c| c as f32)
+    } else {
+        stone(draw, 0.32, 0.58)
+    };
     Material { base, octaves: Grain::new(12.0, 0.05, 0.14).octaves(draw), pattern: Pattern::Plain }
 }

@@ -185,7 +185,12 @@ impl<'a> Shader<'a> {
         };
         let light = self.world.light_on[seen.face];
         let light = if self.night { light * headlight(x, y, depth) } else { light };
-        albedo.map(|c| c * light)
+        let colour = albedo.map(|c| c * light);
+        if self.world.light.clear == f32::INFINITY || self.night {
+            return colour;
+        }
+        let distance = depth * (1.0 + x * x + y * y).sqrt();
+        blend(colour, self.world.light.sky[0], 1.0 - (-distance / self.world.light.clear).exp())
     }
 
     /// Sky colour along a ray: a gradient with soft clouds, fixed to the world's directions.

@@ -141,16 +141,13 @@ impl Road {
             let mean = octave.tint.iter().sum::<f32>() / 3.0;
             octave.tint = octave.tint.map(|c| mean + 0.4 * (c - mean));
         }
-        let mut slabs = material::interior(draw);
-        slabs.octaves = Grain::new(2.4, 0.1, 0.12).octaves(draw);
-        slabs.octaves.extend(Grain::new(0.8, 0.15, 0.11).stretched(1.0, 6.0).octaves(draw));
         Self {
             field: RoadField::new(path),
             edges: [(centre - half) as f32, (centre + half) as f32],
             pavement: pavement as f32,
             asphalt: grey,
             asphalt_octaves: octaves,
-            slabs,
+            slabs: material::paving(draw),
             marking: [0.85, 0.85, draw.range(0.5, 0.85) as f32],
             dash: [draw.range(3.0, 8.0) as f32, draw.range(0.3, 0.6) as f32],
             open: material::open_ground(draw),

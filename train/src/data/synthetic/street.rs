@@ -46,7 +46,8 @@ pub fn build(seed: u64, frames: usize, moving_object: bool) -> Scene {
     let mut draw = Draw::new(seed, 10 + Preset::Street as u64);
     let drive = trajectory::drive(&mut draw, frames);
     let centre = draw.range(-2.4, -1.4);
-    let half = -centre + draw.range(2.0, 3.8);
+    // From an alley to an avenue.
+    let half = -centre + draw.log_range(1.7, 6.5);
     let pavement = draw.range(1.6, 3.0);
     let road = Road::new(&mut draw, &drive.path, centre, half, pavement);
     let mut street = Street::new(draw, &drive, [centre - half, centre + half], pavement);
@@ -209,7 +210,7 @@ impl Street {
     fn facades(&mut self) {
         for side in [-1.0, 1.0] {
             let edge = if side < 0.0 { -self.edges[0] } else { self.edges[1] } + self.pavement;
-            let setback = edge + self.draw.log_range(0.3, 5.0);
+            let setback = edge + self.draw.log_range(0.3, 8.0);
             let mut arc = self.span[0];
             while arc < self.span[1] {
                 let length = self.draw.range(3.5, 12.0);
@@ -223,7 +224,7 @@ impl Street {
 
     fn facade(&mut self, side: f64, arc: f64, half_length: f64, distance: f64) {
         let depth = self.draw.range(2.0, 4.0);
-        let height = self.draw.log_range(2.2, 12.0);
+        let height = self.draw.log_range(2.2, 14.0);
         let (ground, yaw) = self.at(arc, side * (distance + depth));
         let half = [depth, half_length];
         if !self.is_clear(ground, yaw, half, 2.2) {

@@ -64,13 +64,13 @@ impl Steering {
 }
 
 /// A random drive of `frames` frames: 0.3 to 0.9 m a frame, yaw as a car steers it, the camera ahead of the rear axle at
-/// 1.4 to 1.8 m, weaving sideways and bobbing.
+/// 1.3 to 2.2 m, weaving sideways and bobbing.
 pub fn drive(draw: &mut Draw, frames: usize) -> Drive {
     let steering = Steering::new(draw, FRAMES_BEFORE + frames + 200);
     let (cruise, speed) = (draw.range(0.45, 0.75), Smooth::new(draw, 3, 25.0, 90.0));
     let speed_at = |step: f64| (cruise + 0.13 * speed.at(step)).clamp(0.32, 0.88);
     let path = drive_path(frames, &steering, speed_at);
-    let height = draw.range(1.45, 1.75);
+    let height = draw.range(1.3, 2.2);
     let weave = Smooth::new(draw, 4, 16.0, 34.0);
     let bob = Smooth::new(draw, 4, 8.0, 15.0);
     let [pitch, roll] = [0; 2].map(|_| Smooth::new(draw, 4, 7.0, 20.0));

@@ -29,10 +29,12 @@ pub struct Light {
     pub direct: f64,
     /// Sky colour at the horizon and at the zenith.
     pub sky: [[f32; 3]; 2],
+    /// Metres of air after which 1/e of a colour is left, the rest being that of the horizon; infinite without haze.
+    pub clear: f32,
 }
 
 impl Light {
-    fn new(draw: &mut Draw) -> Self {
+    fn new(draw: &mut Draw, haze: bool) -> Self {
         let (azimuth, height) = (draw.range(0.0, std::f64::consts::TAU), draw.range(0.5, 1.2));
         let horizon = colour(draw, 0.7, 0.9, 0.08);
         let light = draw.range(0.5, 0.7);
@@ -41,6 +43,7 @@ impl Light {
             ambient: draw.range(0.55, 0.72),
             direct: draw.range(0.35, 0.5),
             sky: [horizon, [0.62 * light, 0.8 * light, 1.15 * light].map(|c| c as f32)],
+            clear: if haze { draw.log_range(50.0, 150.0) as f32 } else { f32::INFINITY },
         }
     }
 
@@ -103,7 +106,7 @@ impl World {
             Preset::Handheld => handheld::build(seed, config.frames, config.moving_object),
             Preset::Lateral => lateral::build(seed, config.frames, config.moving_object),
         };
-        let light = Light::new(&mut Draw::new(seed, 90));
+        let light = Light::new(&mut Draw::new(seed, 90), config.preset == Preset::Street);
         let light_on = scene.mesh.faces.iter().map(|face| light.on(&face.normal)).collect();
         Self {
             light_on,

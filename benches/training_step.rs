@@ -1,0 +1,27 @@
+//! Whole training steps of the nano networks at 128 x 64, one in each stage.
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use dimode::config::{Config, FlowWeights};
+use dimode::model::Model;
+use dimode::optim::adamw::State;
+use dimode::trainer::Trainer;
+use dimode_benches::rendered_batch;
+
+fn steps(c: &mut Criterion) {
+    let mut config = Config::default();
+    config.nets.flow_weights = FlowWeights::Random;
+    let batch = rendered_batch(&config);
+    let weights = Model::new(&config.nets).init(1);
+    let mut group = c.benchmark_group("training step");
+    group.sample_size(10);
+    for stage in config.train.stages.clone() {
+        let mut trainer = Trainer::new(&config, weights.clone(), State::default());
+        group.bench_function(&stage.name, |b| {
+            b.iter(|| trainer.step(&batch, None, &stage, 1, 1e-4, false).expect("a finite step"));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, steps);
+criterion_main!(benches);
