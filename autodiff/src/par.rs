@@ -29,11 +29,6 @@ pub fn map_indices<R: Send>(n: usize, f: impl Fn(usize) -> R + Sync + Send) -> V
     (0..n).into_par_iter().map(f).collect()
 }
 
-/// As [`map_indices`].
-pub fn for_each_index<R: Send>(n: usize, f: impl Fn(usize) -> R + Sync + Send) -> Vec<R> {
-    map_indices(n, f)
-}
-
 /// Runs `f(i, item)` on every item in parallel.
 pub fn for_each_item<T: Send>(items: Vec<T>, f: impl Fn(usize, T) + Sync + Send) {
     if items.len() <= 1 {
@@ -67,6 +62,14 @@ pub fn join<A: Send, B: Send>(a: impl FnOnce() -> A + Send, b: impl FnOnce() -> 
 /// Worth it around a long computation of many short loops, such as a training run.
 pub fn inside<R: Send>(f: impl FnOnce() -> R + Send) -> R {
     rayon::scope(|_| f())
+}
+
+/// Lets all loops of this process use `threads` threads; to be called once, before the first loop.
+///
+/// # Errors
+/// When the threads are already there, or cannot be started.
+pub fn set_threads(threads: usize) -> Result<(), String> {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(|error| error.to_string())
 }
 
 /// Threads that loops of this module use at present.

@@ -303,11 +303,6 @@ pub struct GradSlot<'a, T: Scalar> {
 }
 
 impl<T: Scalar> GradSlot<'_, T> {
-    /// Whether nothing has been contributed yet.
-    pub fn is_first(&self) -> bool {
-        self.grad.is_none()
-    }
-
     /// The gradient so far, zeros at first; add to it.
     pub fn as_mut_slice(&mut self) -> &mut [T] {
         let (shape, pool) = (self.shape, self.pool);

@@ -84,11 +84,6 @@ impl<T: Scalar> ParamSet<T> {
         self.iter().filter(|(_, e)| e.kind() == Kind::Parameter)
     }
 
-    /// The trained tensors, to be changed, in the same order.
-    pub fn trainable_mut(&mut self) -> impl Iterator<Item = (String, &mut Entry<T>)> {
-        self.iter_mut().filter(|(_, e)| e.kind() == Kind::Parameter)
-    }
-
     /// Number of tensors.
     pub fn len(&self) -> usize {
         self.files.iter().map(|(_, p)| p.len()).sum()

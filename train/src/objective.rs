@@ -1,4 +1,4 @@
-//! The total loss `L = L_pho + lambda1 (L_axi + L_pla) + lambda2 (L_rad + L_tan) + lambda3 L_loc` of a batch, term by term
+//! The total loss `L = L_pho + smoothness + scale + lambda1 (L_axi + L_pla) + lambda2 (L_rad + L_tan) + lambda3 L_loc` of a batch, term by term
 //! (paper, eq. `overall_loss`).
 //!
 //! The terms are measured on a tape of their own whose leaves are what the networks said: disparities, rotation vectors,
@@ -99,14 +99,14 @@ pub struct Failure {
     pub what: &'static str,
     /// Name of the term.
     pub term: String,
-    /// First sample of the batch where it happens.
-    pub sample: usize,
+    /// First sample of the batch where it can be seen.
+    pub sample: Option<usize>,
 }
 
 impl Failure {
     /// The error with step and sample name.
     pub(crate) fn at(self, step: u64, batch: &Batch, advice: &'static str) -> NonFinite {
-        NonFinite { step, what: self.what, term: self.term, sample: batch.names[self.sample].clone(), advice }
+        NonFinite { step, what: self.what, term: self.term, sample: self.sample.map(|i| batch.names[i].clone()), advice }
     }
 }
 
@@ -398,18 +398,17 @@ fn blame<'l>(tape: &'l Tape<f32>, leaves: &Outputs<'l>, terms: &[Term<'l>], samp
             return Failure { what: "gradient", term: term.name.into(), sample };
         }
     }
-    Failure { what: "gradient", term: "the weighted sum of all terms".into(), sample: 0 }
+    Failure { what: "gradient", term: "the weighted sum of all terms".into(), sample: None }
 }
 
 /// First sample with a non-finite element; tensors hold one or two rounds of `samples`.
-fn first_bad(tensors: impl Iterator<Item = Tensor<f32>>, samples: usize) -> usize {
+fn first_bad(tensors: impl Iterator<Item = Tensor<f32>>, samples: usize) -> Option<usize> {
     tensors
         .flat_map(|t| {
             let row = t.shape().len() / t.shape().n();
             t.data().chunks(row).position(|r| r.iter().any(|x| !x.is_finite())).map(|i| i % samples)
         })
         .min()
-        .unwrap_or(0)
 }
 
 fn probe_term<'l>(tape: &'l Tape<f32>, leaves: &Outputs<'l>, term: &Term<'l>) -> TermGradients {

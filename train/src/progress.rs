@@ -151,10 +151,11 @@ mod tests {
     }
 
     #[test]
-    fn a_bar_without_terminal_takes_all_calls() {
+    fn without_terminal_no_bar_begins() {
         let bar = Bar { bar: Mutex::new(None), terminal: false };
         bar.start(3, "train");
         bar.step(1, "x");
+        assert!(bar.bar.lock().unwrap().is_none());
         bar.finish();
     }
 }

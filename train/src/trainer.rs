@@ -19,7 +19,7 @@ use crate::optim::{clip_scale, gradient_norm};
 
 /// A step that could not be taken; weights and optimiser are as before it.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("step {step}: the {what} of {term} is not finite (first in sample {sample}); {advice}")]
+#[error("step {step}: the {what} of {term} is not finite ({}); {advice}", place(.sample.as_deref()))]
 pub struct NonFinite {
     /// Step, from 0.
     pub step: u64,
@@ -27,10 +27,14 @@ pub struct NonFinite {
     pub what: &'static str,
     /// Name of the loss term.
     pub term: String,
-    /// Name of the first sample where it happens.
-    pub sample: String,
+    /// Name of the first sample where it can be seen.
+    pub sample: Option<String>,
     /// What to try.
     pub advice: &'static str,
+}
+
+fn place(sample: Option<&str>) -> String {
+    sample.map_or_else(|| "in no single sample of the batch".to_owned(), |name| format!("first in sample {name}"))
 }
 
 const ADVICE: &str =
@@ -103,7 +107,7 @@ impl Trainer {
         for (norm, name) in norms.iter().zip(["depth network", "pose network", "flow network"]) {
             if norm.is_some_and(|n| !n.is_finite()) {
                 let term = format!("the {name}'s weights");
-                return Err(NonFinite { step, what: "gradient", term, sample: batch.names[0].clone(), advice: ADVICE });
+                return Err(NonFinite { step, what: "gradient", term, sample: None, advice: ADVICE });
             }
         }
         let optimiser = self.adamw();
@@ -208,7 +212,7 @@ impl Trainer {
         let value = f64::from(loss.value().item());
         let term = TermReport { name: "l_flow".into(), weight: 1.0, value, valid: 1.0, gradients: None };
         if !value.is_finite() {
-            return Err(objective::Failure { what: "value", term: term.name, sample: 0 });
+            return Err(objective::Failure { what: "value", term: term.name, sample: None });
         }
         Ok((term, net.gradients(&tape.backward_and_free(loss))))
     }

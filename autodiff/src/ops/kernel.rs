@@ -48,19 +48,6 @@ pub fn zip<T: Scalar>(out: &mut [T], x: &[T], y: &[T], f: impl Fn(T, T) -> T + S
     });
 }
 
-/// `out[i] += f(x[i], y[i])`.
-#[track_caller]
-pub fn zip_add<T: Scalar>(out: &mut [T], x: &[T], y: &[T], f: impl Fn(T, T) -> T + Sync + Send) {
-    assert_lengths(out.len(), &[x.len(), y.len()]);
-    par::for_each_chunk(out, par::CHUNK, |i, out| {
-        let at = i * par::CHUNK;
-        let (x, y) = (&x[at..][..out.len()], &y[at..][..out.len()]);
-        for ((o, &x), &y) in out.iter_mut().zip(x).zip(y) {
-            *o += f(x, y);
-        }
-    });
-}
-
 /// `out[i] = f(x[i], y[i], z[i])`.
 #[track_caller]
 pub fn zip3<T: Scalar>(out: &mut [T], x: &[T], y: &[T], z: &[T], f: impl Fn(T, T, T) -> T + Sync + Send) {
@@ -70,19 +57,6 @@ pub fn zip3<T: Scalar>(out: &mut [T], x: &[T], y: &[T], z: &[T], f: impl Fn(T, T
         let (x, y, z) = (&x[at..][..out.len()], &y[at..][..out.len()], &z[at..][..out.len()]);
         for (((o, &x), &y), &z) in out.iter_mut().zip(x).zip(y).zip(z) {
             *o = f(x, y, z);
-        }
-    });
-}
-
-/// `out[i] += f(x[i], y[i], z[i])`.
-#[track_caller]
-pub fn zip3_add<T: Scalar>(out: &mut [T], x: &[T], y: &[T], z: &[T], f: impl Fn(T, T, T) -> T + Sync + Send) {
-    assert_lengths(out.len(), &[x.len(), y.len(), z.len()]);
-    par::for_each_chunk(out, par::CHUNK, |i, out| {
-        let at = i * par::CHUNK;
-        let (x, y, z) = (&x[at..][..out.len()], &y[at..][..out.len()], &z[at..][..out.len()]);
-        for (((o, &x), &y), &z) in out.iter_mut().zip(x).zip(y).zip(z) {
-            *o += f(x, y, z);
         }
     });
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use super::text::{content_lines, numbers, ordered, parse_error, read, scientific, write};
+use super::text::{content_lines, numbers, ordered, parse_error, read, scientific};
 use super::{QUATERNION_TOLERANCE, StampedPose, Trajectory};
 use crate::error::GeometryError;
 use crate::se3::Se3;
@@ -61,14 +61,6 @@ impl Trajectory {
             text.push_str(&format!("{stamp:.9} {}\n", fields.join(" ")));
         }
         text
-    }
-
-    /// Writes [`Trajectory::to_tum`].
-    ///
-    /// # Errors
-    /// [`GeometryError::Io`].
-    pub fn write_tum(&self, path: &Path) -> Result<(), GeometryError> {
-        write(path, &self.to_tum())
     }
 }
 

@@ -14,7 +14,6 @@ mod train;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 
 use failure::Exit;
@@ -37,7 +36,7 @@ Examples:
   dimode infer --run runs/train-street-s1 --data DIR --out predictions
   dimode synth --preset handheld --worlds 2 --out worlds
 
-Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 130 interrupted after saving.
+Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 130 interrupted (train saves first).
 All text about the work goes to standard error, results to standard output.";
 
 #[derive(Debug, Parser)]
@@ -55,9 +54,6 @@ struct Global {
     /// Threads to compute with [default: one per core]; the result has the same bits for any number
     #[arg(long, global = true, value_name = "N", value_parser = options::threads)]
     threads: Option<usize>,
-    /// Tell more about the work; twice for everything
-    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
-    verbose: u8,
 }
 
 #[derive(Debug, Subcommand)]
@@ -120,16 +116,9 @@ fn dispatch(command: Command, typed: &str) -> anyhow::Result<Exit> {
 }
 
 fn prepare(global: &Global) -> anyhow::Result<()> {
-    let level = match global.verbose {
-        0 => tracing::Level::WARN,
-        1 => tracing::Level::INFO,
-        _ => tracing::Level::TRACE,
-    };
-    let log = tracing_subscriber::fmt().with_writer(std::io::stderr).with_max_level(level);
-    // A second subscriber in one process (tests) is refused; the first one stays.
-    let _ = log.without_time().with_target(false).try_init();
     let Some(threads) = global.threads else { return Ok(()) };
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("the threads could not be started")
+    let started = dimode_autodiff::par::set_threads(threads);
+    started.map_err(|error| anyhow::anyhow!("the threads could not be started: {error}"))
 }
 
 /// The command as a shell would take it, for the report.

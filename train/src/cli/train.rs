@@ -126,6 +126,9 @@ impl TrainArgs {
         }
         run::check_data(&config)?;
         let resume = self.resume.is_some();
+        if !resume {
+            run::flow_weights::check_flow_weights(&config.nets)?;
+        }
         let out = match self.resume {
             Some(folder) => folder,
             None => RunFolder::create(self.out.unwrap_or_else(|| default_out(&config)), &config, self.force)?.path().to_owned(),
@@ -161,7 +164,8 @@ impl TrainArgs {
         }
         let data = &mut config.data;
         if let Some(path) = &self.data {
-            data.path = Some(path.clone());
+            // Another folder may be the current one when the run is resumed.
+            data.path = Some(std::path::absolute(path).unwrap_or_else(|_| path.clone()));
             data.sequences.clone_from(&self.sequences);
         }
         if let Some(preset) = self.preset {
@@ -188,8 +192,6 @@ impl TrainArgs {
             Some(LossForm::Literal) => config.loss.geometric = GeometricConfig::literal(),
             None => {}
         }
-        // Fewer steps than the warm-up would never reach the full rate.
-        config.train.warmup = config.train.warmup.min(config.train.steps / 10);
     }
 }
 

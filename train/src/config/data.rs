@@ -58,6 +58,9 @@ impl Default for DataConfig {
 impl DataConfig {
     /// **Errors** [`ConfigError::Value`] for the first value out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        if let Some(path) = &self.path {
+            require(path.to_str().is_some(), "data.path", path.display(), "must be valid UTF-8: rename the folder")?;
+        }
         side("data.width", self.width)?;
         side("data.height", self.height)?;
         require((1..=1 << 24).contains(&self.worlds), "data.worlds", self.worlds, "must be 1 to 16777216")?;

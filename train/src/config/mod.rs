@@ -59,7 +59,7 @@ impl Default for Config {
 }
 
 impl Config {
-    /// The settings of `--quick`: fewer steps, smaller frames and batches, a short evaluation; a first look in about a minute.
+    /// The settings of `--quick`: few steps, smaller frames, a short evaluation; a first look within two minutes.
     pub fn quick() -> Self {
         let mut config = Self::default();
         config.apply_quick();
@@ -72,7 +72,6 @@ impl Config {
         self.data.height = 64;
         self.data.worlds = 256;
         self.train.steps = 300;
-        self.train.batch = 4;
         self.train.warmup = 20;
         self.train.checkpoint_every = 100;
         self.eval.worlds = 2;

@@ -97,7 +97,7 @@ pub struct TrainConfig {
     pub betas: [f64; 2],
     /// Guard of AdamW's division.
     pub epsilon: f64,
-    /// Steps over which the learning rate rises from 0.
+    /// Steps over which the learning rate rises from 0, at most half of all steps.
     pub warmup: u64,
     /// How the learning rate falls after that.
     pub decay: Decay,

@@ -30,11 +30,14 @@ pub fn write_trajectory(folder: &Path, name: &str, trajectory: &Trajectory) -> R
     Ok([kitti, tum])
 }
 
-/// Writes depth in metres as a 16-bit grey PNG with 256 steps a metre, 0 unknown; depth beyond 255.99 m is cut there.
+/// Writes depth in metres as a 16-bit grey PNG with 256 steps a metre, 0 unknown; 255.99 m and all beyond are the
+/// largest number.
 ///
 /// **Errors** when the file cannot be written.
 pub fn write_depth_png16(path: &Path, depth: &Map) -> Result<(), ReportError> {
-    Ok(write_depth_png(path, depth)?)
+    const LARGEST: f32 = 65535.0 / 256.0;
+    let cut = depth.data.iter().map(|&d| if d > LARGEST { LARGEST } else { d }).collect();
+    Ok(write_depth_png(path, &Map { data: cut, ..*depth })?)
 }
 
 #[cfg(test)]
@@ -75,11 +78,11 @@ mod tests {
     fn depth_comes_back_to_half_a_step() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("depth.png");
-        let depth = Map { height: 1, width: 3, data: vec![0.0, 1.234, 80.0] };
+        let depth = Map { height: 1, width: 3, data: vec![0.0, 1.234, 400.0] };
         write_depth_png16(&path, &depth).unwrap();
         let back = image::open(&path).unwrap().to_luma16();
         for (got, want) in back.as_raw().iter().zip(&depth.data) {
-            assert!((f32::from(*got) / 256.0 - want).abs() <= 0.5 / 256.0 + 1e-6);
+            assert!((f32::from(*got) / 256.0 - want.min(65535.0 / 256.0)).abs() <= 0.5 / 256.0 + 1e-6);
         }
     }
 

@@ -127,7 +127,7 @@ fn evaluate(
 }
 
 /// Mean disparity map and mean motion of the training data, as far as its truth is known.
-fn means(training: &dyn Dataset) -> Result<(Option<Map>, Option<MeanMotion>)> {
+pub(super) fn means(training: &dyn Dataset) -> Result<(Option<Map>, Option<MeanMotion>)> {
     let (mut disparity, mut motions, mut maps) = (MeanDisparity::new(), Vec::new(), 0);
     for s in 0..training.sequence_count().min(MEAN_SEQUENCES) {
         let frames = dimode_autodiff::par::map_indices(training.sequence_len(s), |f| training.frame(s, f));

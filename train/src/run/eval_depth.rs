@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 
-use super::{TrainedModel, held_out_worlds, open_frames};
+use super::conclude::means;
+use super::{TrainedModel, held_out_worlds, open_frames, training_frames};
 use crate::data::{DataError, Dataset, Map, read_depth_png};
 use crate::eval::{Crop, DepthProtocol, DepthScaling, DepthTable, DepthTableBuilder, Evaluation, TrivialDepth};
 use crate::progress::Progress;
@@ -64,7 +65,7 @@ impl ProtocolChanges {
     }
 }
 
-/// Scores depth beside constant depth, on the same frames.
+/// Scores depth beside constant depth and, for a run, the mean disparity map of its training frames, on the same frames.
 ///
 /// **Errors** of the run and the data; when no frame has true depth; [`crate::eval::EvalError`].
 pub fn eval_depth(request: &EvalDepthRequest, progress: &dyn Progress) -> Result<Evaluation> {
@@ -108,7 +109,12 @@ fn score_run(
     protocol: DepthProtocol,
     progress: &dyn Progress,
 ) -> Result<DepthTable> {
-    let mut table = DepthTableBuilder::new("this run", protocol, vec![TrivialDepth::Constant(1.0)])?;
+    let mut trivial = vec![TrivialDepth::Constant(1.0)];
+    // The frames that were trained on may have been moved away since.
+    if model.config.data.path.as_ref().is_none_or(|path| path.exists()) {
+        trivial.extend(means(training_frames(&model.config)?.as_ref())?.0.map(TrivialDepth::MeanDisparity));
+    }
+    let mut table = DepthTableBuilder::new("this run", protocol, trivial)?;
     let total: usize = (0..dataset.sequence_count()).map(|s| dataset.sequence_len(s)).sum();
     progress.start(total as u64, "frames");
     let (mut done, mut scored) = (0, 0);

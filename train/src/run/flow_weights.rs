@@ -1,12 +1,24 @@
 //! Where the flow network's first weights come from.
 
 use anyhow::{Context, Result, bail};
-use dimode_nets::{FlowNetKind, ParamSet, weights};
+use dimode_nets::{FlowNet, FlowNetKind, Network, ParamSet, weights};
 
 use crate::config::{FlowWeights, NetsConfig};
+use crate::data::DataError;
 
 /// Weights of `nano_raft_d4` after `dimode pretrain flow`; `assets/README.md` tells command, seed and error.
 const EMBEDDED: &[u8] = include_bytes!("../../assets/flow_nano_raft_d4.safetensors");
+
+/// Finds out before anything is written whether the weights that the configuration names can be used.
+///
+/// # Errors
+/// As [`load_flow_weights`]; [`DataError::Malformed`] for a file.
+pub fn check_flow_weights(nets: &NetsConfig) -> Result<()> {
+    let loaded = load_flow_weights(nets, &mut FlowNet::new(nets.flow.config()).init(0));
+    let FlowWeights::File(path) = &nets.flow_weights else { return loaded };
+    let advice = "name a file that 'dimode pretrain flow' wrote for this size of network, or leave nets.flow_weights out";
+    loaded.map_err(|error| DataError::malformed(path, format!("{error:#}"), advice).into())
+}
 
 /// Replaces fresh weights by those that the configuration names.
 ///

@@ -98,6 +98,13 @@ impl RunFolder {
                 _ => {}
             }
         }
+        for name in ["trajectories", "depth"] {
+            let folder = self.path.join(name);
+            match fs::remove_dir_all(&folder) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(DataError::write(&folder, error)),
+                _ => {}
+            }
+        }
         Ok(())
     }
 

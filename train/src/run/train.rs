@@ -167,7 +167,9 @@ fn rate_of(config: &Config, step: u64) -> f64 {
         DecayConfig::Constant => Decay::Constant,
         DecayConfig::Cosine => Decay::Cosine { final_fraction: train.final_fraction },
     };
-    learning_rate(train.learning_rate, step as usize, train.steps as usize, train.warmup as usize, decay)
+    // A run shorter than its warm-up would never reach the full rate.
+    let warmup = train.warmup.min(train.steps / 2);
+    learning_rate(train.learning_rate, step as usize, train.steps as usize, warmup as usize, decay)
 }
 
 fn record(step: u64, stage: &str, report: &StepReport, rate: f64, seconds: f64) -> StepRecord {

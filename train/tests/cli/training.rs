@@ -175,6 +175,17 @@ fn a_full_disk_leaves_no_half_checkpoint() {
 }
 
 #[test]
+fn flow_weights_that_do_not_fit_are_refused_before_anything_is_written() {
+    let place = Place::new();
+    let file = place.path("flow.safetensors");
+    fs::write(&file, "not weights").unwrap();
+    let run = place.path("run");
+    let flags = ["train", "--out", text(&run), "--flow-weights", text(&file)];
+    dimode(&flags).refused(1, &["flow.safetensors", "fix: name a file that 'dimode pretrain flow' wrote"]);
+    assert!(!place.path("run").exists());
+}
+
+#[test]
 fn values_that_are_not_finite_stop_the_run_and_keep_the_checkpoint() {
     let place = Place::new();
     let wild = ["--steps", "9", "--learning-rate", "1e30", "--set", "train.checkpoint_every=1", "--set", "train.warmup=0"];

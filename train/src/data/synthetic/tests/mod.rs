@@ -3,7 +3,7 @@
 mod motion;
 mod options;
 
-use rayon::prelude::*;
+use dimode_autodiff::par;
 
 use super::{Preset, Split, SyntheticConfig, SyntheticDataset};
 use crate::data::{Dataset, Frame, PairTruth};
@@ -182,10 +182,11 @@ fn same_bits_for_any_number_of_threads_and_any_order() {
         let all: Vec<(usize, usize)> = (0..3).flat_map(|s| (0..4).map(move |f| (s, 3 * f))).collect();
         let render = |threads: usize, options: fn(&mut SyntheticConfig)| -> Vec<Vec<u32>> {
             let data = dataset(preset, options);
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| {
-                all.par_iter().map(|&(s, f)| data.frame(s, f).unwrap().image.data.iter().map(|x| x.to_bits()).collect()).collect()
-            })
+            let bits = |i: usize| {
+                let (s, f) = all[i];
+                data.frame(s, f).unwrap().image.data.iter().map(|x| x.to_bits()).collect()
+            };
+            par::with_threads(threads, || par::map_indices(all.len(), bits))
         };
         let options: fn(&mut SyntheticConfig) = |c| (c.noise, c.exposure, c.moving_object) = (0.02, 0.1, true);
         assert_eq!(render(1, options), render(4, options));
