@@ -99,7 +99,6 @@ impl PretrainFlowArgs {
     fn settings(self) -> anyhow::Result<PretrainConfig> {
         let base = PretrainConfig::default();
         let size = self.size.unwrap_or(Size { width: base.width, height: base.height });
-
         let config = PretrainConfig {
             flow: self.net,
             presets: self.preset_mix,
