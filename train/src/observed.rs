@@ -37,7 +37,7 @@ impl ObservedFlow {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Flow from the targets of a batch to both sources, `[2 n, 2, h, w]`, previous first, as [`observe`] finds it.
+    /// Flow from the targets of a batch to both sources, `[2 n, 2, h, w]`, previous first; no gradient.
     pub fn of(&self, model: &Model, weights: &ParamSet<f32>, batch: &Batch, pool: &Arc<Pool<f32>>) -> Tensor<f32> {
         let flows = par::map_indices(batch.snippets.len(), |i| {
             let key = batch.snippets[i];
@@ -53,12 +53,6 @@ impl ObservedFlow {
         });
         in_batch_order(batch, &flows)
     }
-}
-
-/// Flow from the targets of a batch to both sources by a network that is not trained now, `[2 n, 2, h, w]`, previous first.
-pub fn observe(model: &Model, weights: &ParamSet<f32>, batch: &Batch, pool: &Arc<Pool<f32>>) -> Tensor<f32> {
-    let flows = par::map_indices(batch.snippets.len(), |i| Arc::new(snippet_flow(model, weights, batch, i, pool)));
-    in_batch_order(batch, &flows)
 }
 
 /// Flow of one snippet as it was taken, `[2, 2, h, w]`.
@@ -109,7 +103,7 @@ mod tests {
         let mut flips = [false; 2];
         for step in 0..12 {
             let batch = Batch::load(frames.as_ref(), &[(0, 1), (1, 2), (0, 3)], &config.train, 3, step).unwrap();
-            let fresh = observe(&model, &weights, &batch, &pool);
+            let fresh = ObservedFlow::default().of(&model, &weights, &batch, &pool);
             assert_eq!(kept.of(&model, &weights, &batch, &pool).data(), fresh.data(), "step {step}");
             let shape = fresh.shape();
             assert_eq!((shape.n(), shape.c()), (6, 2));

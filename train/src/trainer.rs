@@ -13,7 +13,7 @@ use crate::batch::{Batch, join};
 use crate::config::{Config, StageConfig};
 use crate::model::{Model, Weights};
 use crate::objective::{self, Outputs, TermReport};
-use crate::observed::observe;
+use crate::observed::ObservedFlow;
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::{clip_scale, gradient_norm};
 
@@ -71,7 +71,7 @@ impl Trainer {
 
     /// Takes one step at the given learning rate. With `probe` each term's gradient is measured apart.
     ///
-    /// `observed` is the flow that [`observe`] found for this batch; it is found here when it is not given and needed.
+    /// `observed` is the flow that [`ObservedFlow`] holds for this batch; it is found here when it is not given and needed.
     ///
     /// # Errors
     /// When a loss term or a gradient is not finite; nothing has changed then.
@@ -145,7 +145,7 @@ impl Trainer {
         let found;
         let flow = match observed {
             None if objective::needs_flow(&self.config.loss, stage) => {
-                found = observe(&self.model, &self.weights.flow, batch, &self.pool);
+                found = ObservedFlow::default().of(&self.model, &self.weights.flow, batch, &self.pool);
                 Some(&found)
             }
             given => given,
