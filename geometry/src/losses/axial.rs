@@ -44,11 +44,13 @@ fn pose_sign<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Var<'t, T> {
 
 /// Pixels at least `q_min` from the principal point with axial flow longer than `tau_f`.
 fn directed<T: Scalar>(pair: &AlignedPair<'_, T>, q_min: f64, tau_f: f64) -> Tensor<T> {
-    let (flow, radius) = (pair.axial_flow.value(), pair.radius.clone());
-    masks::and_where(&pair.mask, |n, i| {
-        let part = |c| flow.plane(n, c)[i].to_f64();
-        let r = radius.plane(n, 0)[i].to_f64();
-        r > 0.0 && r >= q_min && part(0) * part(0) + part(1) * part(1) > tau_f * tau_f
+    let (flow, radius) = (pair.axial_flow.value(), &pair.radius);
+    masks::and_where(&pair.mask, |n| {
+        let (u, v, radius) = (flow.plane(n, 0), flow.plane(n, 1), radius.plane(n, 0));
+        move |i| {
+            let (u, v, r) = (u[i].to_f64(), v[i].to_f64(), radius[i].to_f64());
+            r > 0.0 && r >= q_min && u * u + v * v > tau_f * tau_f
+        }
     })
 }
 
@@ -78,10 +80,11 @@ fn angle<'t, T: Scalar>(
 
 fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> (Var<'t, T>, Tensor<T>) {
     let q_min = options.q_min.max(1e-6);
-    let mask = {
-        let radius = pair.radius.clone();
-        masks::and_where(&pair.mask, move |n, i| radius.plane(n, 0)[i].to_f64() > q_min)
-    };
+    let radius = &pair.radius;
+    let mask = masks::and_where(&pair.mask, |n| {
+        let radius = radius.plane(n, 0);
+        move |i| radius[i].to_f64() > q_min
+    });
     let distance = pair.axial_products(&mask).across.div(pair.constant(&pair.radius_from(q_min)));
-    (soft_abs(distance, options.smooth_px).masked_mean(&mask), mask)
+    (pair.beyond_noise(soft_abs(distance, options.smooth_px)).masked_mean(&mask), mask)
 }

@@ -88,6 +88,7 @@ fn presets() -> Vec<LossOptions> {
         literal,
         base,
         LossOptions { smooth_px: 0.05, ..LossOptions::pixels() },
+        LossOptions { noise_px: 0.02, noise_share: 0.03, ..LossOptions::pixels() },
         LossOptions {
             planar: PlanarVariant::Circular,
             axial: AxialVariant::PoseSign,
@@ -222,6 +223,7 @@ fn plain(pair: &AlignedPair<'_, f64>, options: &LossOptions, n: usize) -> [Optio
         let kept: Vec<f64> = (0..H * W).filter(|&i| direction.norm() > options.min_tangential_flow * z[i]).map(x).collect();
         kept.iter().map(|&x| tip(x)).sum::<f64>() / kept.len() as f64
     };
+    let noisy = options.noise_px > 0.0;
     let planar = match options.planar {
         PlanarVariant::Literal | PlanarVariant::Robust => loss_forms::planar::printed(&pla),
         PlanarVariant::Circular => loss_forms::planar::circular(&pla),
@@ -249,7 +251,8 @@ fn plain(pair: &AlignedPair<'_, f64>, options: &LossOptions, n: usize) -> [Optio
         RadialVariant::InverseRatio if !near => Some(loss_forms::radial::inverse_ratio(&axi, &d, &z, &a)),
         _ => None,
     };
-    [planar, axial, tangential, radial]
+    // Pixel forms with noise: `noise_comes_off_the_residual_of_every_pixel`.
+    [planar.filter(|_| !noisy), axial, tangential, radial]
 }
 
 #[test]
@@ -280,6 +283,35 @@ fn pixel_forms_equal_the_plain_sums() {
             assert!((found[term][n] - expected).abs() < 1e-12, "term {term}: {} {expected}", found[term][n]);
         }
     }
+}
+
+#[test]
+fn noise_comes_off_the_residual_of_every_pixel() {
+    let free = LossOptions { min_tangential_flow: 0.0, q_min: 0.0, ..LossOptions::pixels() };
+    let noisy = LossOptions { noise_px: 0.05, noise_share: 0.1, ..free };
+    let leaves = perturbed(motions([-0.5, 0.55]));
+    let (mut within, mut beyond) = ([0; 4], [0; 4]);
+    for i in 0..H * W {
+        let only = Tensor::from_fn(shape(1), |_, _, v, u| f64::from(u8::from(v * W + u == i)));
+        let residuals = |options: &LossOptions| {
+            let tape = Tape::new();
+            let v = leaves.clone().map(|x| tape.leaf(x));
+            let pair = pair_of(&v, &only, options);
+            let terms = [planar(&pair, options), axial(&pair, options), tangential(&pair, options), radial(&pair, options)];
+            terms.map(|t| t.per_image.value().to_vec())
+        };
+        let (free, noisy) = (residuals(&free), residuals(&noisy));
+        for n in 0..2 {
+            let noise = 0.05 + 0.1 * leaves[2].plane(n, 0)[i].hypot(leaves[2].plane(n, 1)[i]);
+            for term in 0..4 {
+                let expected = (free[term][n] - noise).max(0.0);
+                assert!((noisy[term][n] - expected).abs() < 1e-12, "term {term}, pixel {i}: {} {expected}", noisy[term][n]);
+                let count = if expected > 0.0 { &mut beyond } else { &mut within };
+                count[term] += 1;
+            }
+        }
+    }
+    assert!(within.iter().chain(&beyond).all(|&c| c >= 10), "{within:?} {beyond:?}");
 }
 
 #[test]

@@ -38,6 +38,10 @@ pub struct LossOptions {
     pub min_tangential_share: f64,
     /// Rounding of the tip of absolute values in the pixel forms, pixels; 0 for none.
     pub smooth_px: f64,
+    /// Error that the flow may have everywhere, pixels: the pixel forms count what a residual has beyond it.
+    pub noise_px: f64,
+    /// The same as a part of the flow's length, on top of `noise_px`.
+    pub noise_share: f64,
     /// Cuts the gradient that the aligned flows send to the source depth; a property of the pair, so all four
     /// losses of that pair lose it. Build two pairs where only the direction losses should.
     pub detach_depth_in_alignment: bool,
@@ -80,6 +84,8 @@ impl LossOptions {
             min_tangential_flow: 0.5,
             min_tangential_share: 0.0,
             smooth_px: 0.0,
+            noise_px: 0.0,
+            noise_share: 0.0,
             detach_depth_in_alignment: false,
             detach_direction: false,
             min_valid_fraction: 0.01,

@@ -7,6 +7,7 @@ use dimode_autodiff::{Scalar, Shape, Tensor, Var};
 use super::options::LossOptions;
 use crate::alignment::Convention;
 use crate::camera::Intrinsics;
+use crate::taped::smooth::length;
 use crate::taped::{align, masks, translation_in_target_frame};
 
 /// Inputs of a batch of pairs.
@@ -51,6 +52,8 @@ pub struct AlignedPair<'t, T: Scalar> {
     pub(crate) d_v: Tensor<T>,
     /// Distances `|p - p0|`, (N,1,H,W), pixels.
     pub(crate) radius: Tensor<T>,
+    /// Residual that the flow's own error may cause, `noise_px + noise_share |f|`, (N,1,H,W), pixels; none when both are 0.
+    noise: Option<Var<'t, T>>,
     /// Focal lengths along u, (N,1,1,1).
     pub(crate) focal_u: Tensor<T>,
     /// Focal lengths along v.
@@ -107,6 +110,7 @@ impl<'t, T: Scalar> AlignedPair<'t, T> {
             d_u,
             d_v,
             radius,
+            noise: noise(inputs.flow, options),
             focal_u: Tensor::from_fn(per_image, |n, _, _, _| T::from_f64(k[n].fu)),
             focal_v: Tensor::from_fn(per_image, |n, _, _, _| T::from_f64(k[n].fv)),
         }
@@ -137,6 +141,14 @@ impl<'t, T: Scalar> AlignedPair<'t, T> {
         x.select(mask, self.constant(&Tensor::full(x.shape(), T::from_f64(filler))))
     }
 
+    /// What a residual, in pixels, has beyond the flow's own error: `max(r - noise_px - noise_share |f|, 0)`.
+    pub(crate) fn beyond_noise(&self, residual: Var<'t, T>) -> Var<'t, T> {
+        match self.noise {
+            Some(noise) => residual.sub(noise).relu(),
+            None => residual,
+        }
+    }
+
     /// `d . f` of the axial flow, (N,1,H,W), with flows outside the mask replaced by `d` itself.
     pub(crate) fn axial_products(&self, mask: &Tensor<T>) -> AxialProducts<'t, T> {
         let (d_u, d_v) = (self.constant(&self.d_u), self.constant(&self.d_v));
@@ -163,13 +175,21 @@ pub(crate) struct AxialProducts<'t, T: Scalar> {
     pub across: Var<'t, T>,
 }
 
+/// `noise_px + noise_share |f|`, (N,1,H,W).
+fn noise<'t, T: Scalar>(flow: Var<'t, T>, options: &LossOptions) -> Option<Var<'t, T>> {
+    let any = options.noise_px > 0.0 || options.noise_share > 0.0;
+    any.then(|| {
+        let size = length(flow.slice(1, 0, 1), flow.slice(1, 1, 1), 0.0);
+        size.scale(options.noise_share).add_scalar(options.noise_px)
+    })
+}
+
 /// The mask with all depths above `z_min` and finite aligned flows.
 fn usable<T: Scalar>(aligned: &Tensor<T>, source_depth: &Tensor<T>, mask: &Tensor<T>, z_min: f64) -> Tensor<T> {
     let z_min = T::from_f64(z_min);
-    masks::and_where(mask, |n, i| {
-        source_depth.plane(n, 0)[i] > z_min
-            && aligned.plane(n, 4)[i] > z_min
-            && aligned.plane(n, 5)[i] > z_min
-            && (0..4).all(|c| aligned.plane(n, c)[i].is_finite())
+    masks::and_where(mask, |n| {
+        let depths = [source_depth.plane(n, 0), aligned.plane(n, 4), aligned.plane(n, 5)];
+        let flows = [0, 1, 2, 3].map(|c| aligned.plane(n, c));
+        move |i| depths.iter().all(|z| z[i] > z_min) && flows.iter().all(|f| f[i].is_finite())
     })
 }

@@ -42,9 +42,12 @@ type Masked<'t, T> = (Var<'t, T>, Tensor<T>);
 /// Pixels of the pair's mask with planar flow longer than `shortest`.
 fn longer_than<T: Scalar>(pair: &AlignedPair<'_, T>, shortest: f64) -> Tensor<T> {
     let flow = pair.planar_flow.value();
-    masks::and_where(&pair.mask, |n, i| {
-        let (u, v) = (flow.plane(n, 0)[i].to_f64(), flow.plane(n, 1)[i].to_f64());
-        u * u + v * v > shortest * shortest
+    masks::and_where(&pair.mask, |n| {
+        let (u, v) = (flow.plane(n, 0), flow.plane(n, 1));
+        move |i| {
+            let (u, v) = (u[i].to_f64(), v[i].to_f64());
+            u * u + v * v > shortest * shortest
+        }
     })
 }
 
@@ -104,8 +107,9 @@ fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions
         x.hypot(y) >= options.min_tangential_share * x.hypot(y).hypot(z)
     };
     let usable: Vec<bool> = (0..sizes.shape().n()).map(tangential).collect();
-    let mask = masks::and_where(&pair.mask, |n, i| {
-        usable[n] && sizes.at(n, 0, 0, 0).to_f64() > options.min_tangential_flow * depth.plane(n, 0)[i].to_f64()
+    let mask = masks::and_where(&pair.mask, |n| {
+        let (usable, size, depth) = (usable[n], sizes.at(n, 0, 0, 0).to_f64(), depth.plane(n, 0));
+        move |i| usable && size > options.min_tangential_flow * depth[i].to_f64()
     });
     let direction = |c: Var<'t, T>| {
         let c = c.div_guarded(size, 1e-12);
@@ -113,5 +117,5 @@ fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions
     };
     let (u, v) = components(pair, &mask);
     let distance = u.mul(direction(y)).sub(v.mul(direction(x)));
-    (soft_abs(distance, options.smooth_px).masked_mean(&mask), mask)
+    (pair.beyond_noise(soft_abs(distance, options.smooth_px)).masked_mean(&mask), mask)
 }

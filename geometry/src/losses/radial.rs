@@ -52,10 +52,13 @@ fn radial_flow<T: Scalar>(pair: &AlignedPair<'_, T>) -> Tensor<T> {
 
 /// Pixels off the principal point where the flow does not end on it: `d . (f + d) / |d| > smallest`.
 fn recoverable<T: Scalar>(pair: &AlignedPair<'_, T>, base: &Tensor<T>, q_min: f64, smallest: f64) -> Tensor<T> {
-    let (along, radius) = (radial_flow(pair), pair.radius.clone());
-    masks::and_where(base, |n, i| {
-        let r = radius.plane(n, 0)[i].to_f64();
-        r > 0.0 && r >= q_min && along.plane(n, 0)[i].to_f64() + r > smallest
+    let (along, radius) = (radial_flow(pair), &pair.radius);
+    masks::and_where(base, |n| {
+        let (along, radius) = (along.plane(n, 0), radius.plane(n, 0));
+        move |i| {
+            let r = radius[i].to_f64();
+            r > 0.0 && r >= q_min && along[i].to_f64() + r > smallest
+        }
     })
 }
 
@@ -77,10 +80,13 @@ fn ratio_terms<'t, T: Scalar>(
     robust: Option<&LossOptions>,
 ) -> (Var<'t, T>, Tensor<T>) {
     let (q_min, smallest) = robust.map_or((0.0, 0.0), |o| (o.q_min, o.tau_rho));
-    let (flow, radius) = (radial_flow(pair), pair.radius.clone());
-    let divisible = masks::and_where(base, |n, i| {
-        let r = radius.plane(n, 0)[i].to_f64();
-        r > 0.0 && r >= q_min && flow.plane(n, 0)[i].to_f64().abs() > smallest
+    let (flow, radius) = (radial_flow(pair), &pair.radius);
+    let divisible = masks::and_where(base, |n| {
+        let (flow, radius) = (flow.plane(n, 0), radius.plane(n, 0));
+        move |i| {
+            let r = radius[i].to_f64();
+            r > 0.0 && r >= q_min && flow[i].to_f64().abs() > smallest
+        }
     });
     let along = pair.keep(pair.axial_products(&divisible).along, &divisible, 1.0);
     let ratio = along.add(radius_squared(pair)).div(along).neg();
@@ -88,7 +94,10 @@ fn ratio_terms<'t, T: Scalar>(
     let pixel = pixel_term(pair, scaled, &divisible, robust.map(|o| o.gate));
     let mask = match robust {
         Some(o) => recoverable(pair, base, o.q_min, o.tau_rho),
-        None => masks::and_where(base, |n, i| radius.plane(n, 0)[i] > T::ZERO),
+        None => masks::and_where(base, |n| {
+            let radius = radius.plane(n, 0);
+            move |i| radius[i] > T::ZERO
+        }),
     };
     let aggregate = aggregate_term(pair, recovered(pair, &mask), &mask, 2, robust);
     (pixel.add(aggregate), mask)
@@ -101,16 +110,16 @@ fn inverse_ratio<'t, T: Scalar>(pair: &AlignedPair<'t, T>, base: &Tensor<T>, opt
 }
 
 fn flow_pixels<'t, T: Scalar>(pair: &AlignedPair<'t, T>, base: &Tensor<T>, options: &LossOptions) -> (Var<'t, T>, Tensor<T>) {
-    let (z, a, radius) = (pair.target_depth.value(), pair.translation.value(), pair.radius.clone());
+    let (z, a, radius) = (pair.target_depth.value(), pair.translation.value(), &pair.radius);
     let q_min = options.q_min.max(1e-6);
-    let mask = masks::and_where(base, |n, i| {
-        let source_depth = z.plane(n, 0)[i].to_f64() + a.at(n, 2, 0, 0).to_f64();
-        radius.plane(n, 0)[i].to_f64() >= q_min && source_depth > options.z_min
+    let mask = masks::and_where(base, |n| {
+        let (z, radius, a_z) = (z.plane(n, 0), radius.plane(n, 0), a.at(n, 2, 0, 0).to_f64());
+        move |i| radius[i].to_f64() >= q_min && z[i].to_f64() + a_z > options.z_min
     });
     let a_z = pair.spread(pair.a(2));
     let source_depth = pair.keep(pair.target_depth.add(a_z), &mask, 1.0);
     let radius = pair.constant(&pair.radius_from(q_min));
     let along = pair.axial_products(&mask).along.div(radius);
     let residual = along.add(radius.mul(a_z).div(source_depth));
-    (soft_abs(residual, options.smooth_px).masked_mean(&mask), mask)
+    (pair.beyond_noise(soft_abs(residual, options.smooth_px)).masked_mean(&mask), mask)
 }

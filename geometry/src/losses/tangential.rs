@@ -36,7 +36,10 @@ pub fn tangential<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOption
 pub(super) fn with_target_depth<T: Scalar>(pair: &AlignedPair<'_, T>, z_min: f64) -> Tensor<T> {
     let z = pair.target_depth.value();
     let z_min = T::from_f64(z_min);
-    masks::and_where(&pair.mask, |n, i| z.plane(n, 0)[i] > z_min && z.plane(n, 0)[i].is_finite())
+    masks::and_where(&pair.mask, |n| {
+        let z = z.plane(n, 0);
+        move |i| z[i] > z_min && z[i].is_finite()
+    })
 }
 
 fn both_axes<'t, T: Scalar>(term: impl Fn(usize) -> Var<'t, T>) -> Var<'t, T> {
@@ -57,7 +60,10 @@ fn recovered<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, k: usiz
 fn axis_terms<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, k: usize, robust: Option<&LossOptions>) -> Var<'t, T> {
     let smallest = robust.map_or(0.0, |o| o.tau_rho);
     let flows = pair.planar_flow.value();
-    let divisible = masks::and_where(mask, |n, i| flows.plane(n, k)[i].to_f64().abs() > smallest);
+    let divisible = masks::and_where(mask, |n| {
+        let flow = flows.plane(n, k);
+        move |i| flow[i].to_f64().abs() > smallest
+    });
     let flow = pair.keep(pair.planar_flow.slice(1, k, 1), &divisible, 1.0);
     let scaled = pair.spread(focal(pair, k).mul(pair.a(k))).div(flow);
     let pixel = pixel_term(pair, scaled, &divisible, robust.map(|o| o.gate));
@@ -77,7 +83,10 @@ pub(super) fn pixel_term<'t, T: Scalar>(
         return error.masked_mean(mask);
     };
     let values = error.value();
-    let kept = masks::and_where(mask, |n, i| values.plane(n, 0)[i].to_f64() < gate);
+    let kept = masks::and_where(mask, |n| {
+        let errors = values.plane(n, 0);
+        move |i| errors[i].to_f64() < gate
+    });
     error.masked_mean(&kept)
 }
 
@@ -118,5 +127,5 @@ fn flow_pixels<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, smoot
         let predicted = pair.spread(focal(pair, k).mul(pair.a(k))).div(z);
         pair.keep(pair.planar_flow.slice(1, k, 1), mask, 0.0).sub(predicted)
     };
-    length(residual(0), residual(1), smooth).masked_mean(mask)
+    pair.beyond_noise(length(residual(0), residual(1), smooth)).masked_mean(mask)
 }

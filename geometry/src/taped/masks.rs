@@ -12,13 +12,14 @@ fn like(map: Shape) -> Shape {
     Shape::new(map.n(), 1, map.h(), map.w())
 }
 
-/// Mask of the pixels for which `keep(sample, flat pixel index)` holds; samples in parallel.
-fn from_fn<T: Scalar>(map: Shape, keep: impl Fn(usize, usize) -> bool + Sync + Send) -> Tensor<T> {
+/// Mask of the pixels for which `keep(sample)(flat pixel index)` holds; samples in parallel.
+fn from_fn<T: Scalar, K: Fn(usize) -> bool>(map: Shape, keep: impl Fn(usize) -> K + Sync + Send) -> Tensor<T> {
     let plane = map.plane();
     let mut data = vec![T::ZERO; map.n() * plane];
     par::for_each_chunk(&mut data, plane.max(1), |n, chunk| {
+        let keep = keep(n);
         for (i, kept) in chunk.iter_mut().enumerate() {
-            *kept = if keep(n, i) { T::ONE } else { T::ZERO };
+            *kept = if keep(i) { T::ONE } else { T::ZERO };
         }
     });
     Tensor::from_vec(like(map), data)
@@ -37,10 +38,13 @@ pub fn everywhere<T: Scalar>(map: Shape) -> Tensor<T> {
 pub fn in_view<T: Scalar>(flow: &Tensor<T>) -> Tensor<T> {
     let s = flow.shape();
     let (right, bottom) = (T::from_usize(s.w() - 1), T::from_usize(s.h() - 1));
-    from_fn(s, |n, i| {
-        let u = T::from_usize(i % s.w()) + flow.plane(n, 0)[i];
-        let v = T::from_usize(i / s.w()) + flow.plane(n, 1)[i];
-        u >= T::ZERO && u <= right && v >= T::ZERO && v <= bottom
+    from_fn(s, |n| {
+        let (flow_u, flow_v) = (flow.plane(n, 0), flow.plane(n, 1));
+        move |i| {
+            let u = T::from_usize(i % s.w()) + flow_u[i];
+            let v = T::from_usize(i / s.w()) + flow_v[i];
+            u >= T::ZERO && u <= right && v >= T::ZERO && v <= bottom
+        }
     })
 }
 
@@ -48,7 +52,10 @@ pub fn in_view<T: Scalar>(flow: &Tensor<T>) -> Tensor<T> {
 #[must_use]
 pub fn above<T: Scalar>(map: &Tensor<T>, channel: usize, threshold: f64) -> Tensor<T> {
     let threshold = T::from_f64(threshold);
-    from_fn(map.shape(), |n, i| map.plane(n, channel)[i] > threshold)
+    from_fn(map.shape(), |n| {
+        let map = map.plane(n, channel);
+        move |i| map[i] > threshold
+    })
 }
 
 /// Static pixels: squared distance of rigid and optical flow below its mean over the image.
@@ -127,12 +134,14 @@ pub(crate) fn pixels_plus<T: Scalar>(flow: &Tensor<T>) -> Tensor<T> {
 #[track_caller]
 pub fn not_occluded<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Tensor<T> {
     let back = backward_at_forward(forward, backward);
-    from_fn(forward.shape(), |n, i| {
-        let f = |c: usize| forward.plane(n, c)[i].to_f64();
-        let b = |c: usize| back.plane(n, c)[i].to_f64();
-        let deviation = (f(0) + b(0)).powi(2) + (f(1) + b(1)).powi(2);
-        let sizes = f(0).powi(2) + f(1).powi(2) + b(0).powi(2) + b(1).powi(2);
-        deviation <= OCCLUSION_SLOPE * sizes + OCCLUSION_OFFSET
+    from_fn(forward.shape(), |n| {
+        let (f, b) = ([0, 1].map(|c| forward.plane(n, c)), [0, 1].map(|c| back.plane(n, c)));
+        move |i| {
+            let [f_u, f_v, b_u, b_v] = [f[0], f[1], b[0], b[1]].map(|plane| plane[i].to_f64());
+            let deviation = (f_u + b_u).powi(2) + (f_v + b_v).powi(2);
+            let sizes = f_u.powi(2) + f_v.powi(2) + b_u.powi(2) + b_v.powi(2);
+            deviation <= OCCLUSION_SLOPE * sizes + OCCLUSION_OFFSET
+        }
     })
 }
 
@@ -144,12 +153,18 @@ pub fn not_occluded<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Ten
 pub fn all_of<T: Scalar>(masks: &[&Tensor<T>]) -> Tensor<T> {
     let shape = masks.first().expect("all_of: no mask given").shape();
     assert!(masks.iter().all(|m| m.shape() == shape), "all_of: masks of different shapes");
-    from_fn(shape, |n, i| masks.iter().all(|m| m.plane(n, 0)[i] != T::ZERO))
+    from_fn(shape, |n| {
+        let planes: Vec<&[T]> = masks.iter().map(|m| m.plane(n, 0)).collect();
+        move |i| planes.iter().all(|plane| plane[i] != T::ZERO)
+    })
 }
 
-/// Pixels of a mask that also satisfy a test on (sample, flat pixel index).
-pub(crate) fn and_where<T: Scalar>(mask: &Tensor<T>, keep: impl Fn(usize, usize) -> bool + Sync + Send) -> Tensor<T> {
-    from_fn(mask.shape(), |n, i| mask.plane(n, 0)[i] != T::ZERO && keep(n, i))
+/// Pixels of a mask that also satisfy `keep(sample)(flat pixel index)`.
+pub(crate) fn and_where<T: Scalar, K: Fn(usize) -> bool>(mask: &Tensor<T>, keep: impl Fn(usize) -> K + Sync + Send) -> Tensor<T> {
+    from_fn(mask.shape(), |n| {
+        let (mask, keep) = (mask.plane(n, 0), keep(n));
+        move |i| mask[i] != T::ZERO && keep(i)
+    })
 }
 
 /// Number of pixels of a mask, image by image.
@@ -204,7 +219,7 @@ mod tests {
         let both = all_of(&[&m([1.0, 1.0, 0.0, 1.0]), &m([0.0, 1.0, 1.0, 1.0])]);
         assert_eq!((both.to_vec(), counts(&both)), (vec![0.0, 1.0, 0.0, 1.0], vec![2]));
         assert_eq!(above(&m([0.1, 0.2, f64::NAN, -1.0]), 0, 0.1).to_vec(), [0.0, 1.0, 0.0, 0.0]);
-        assert_eq!(and_where(&both, |_, i| i > 2).to_vec(), [0.0, 0.0, 0.0, 1.0]);
+        assert_eq!(and_where(&both, |_| |i| i > 2).to_vec(), [0.0, 0.0, 0.0, 1.0]);
         assert_eq!(everywhere::<f32>(Shape::new(1, 2, 1, 3)).to_vec(), [1.0; 3]);
     }
 }

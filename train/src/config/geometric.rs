@@ -175,6 +175,10 @@ pub struct GeometricConfig {
     pub min_tangential_share: f64,
     /// Rounding of the tip of absolute values in the pixel forms, in pixels; 0 for none.
     pub smooth_pixels: f64,
+    /// Error that the flow may have everywhere, in pixels; the pixel forms count what a residual has beyond it.
+    pub noise_pixels: f64,
+    /// The same as a share of the flow's length, on top of `noise_pixels`.
+    pub noise_share: f64,
     /// Images with a smaller share of usable pixels are left out of a batch's mean.
     pub min_valid_share: f64,
     /// Smallest depth after alignment.
@@ -203,6 +207,8 @@ impl Default for GeometricConfig {
             min_tangential_flow: 0.5,
             min_tangential_share: 0.3,
             smooth_pixels: 0.0,
+            noise_pixels: 0.0,
+            noise_share: 0.0,
             min_valid_share: 0.1,
             z_min: 1e-3,
             detach_source_depth: true,
@@ -248,6 +254,8 @@ impl GeometricConfig {
             min_tangential_flow: self.min_tangential_flow,
             min_tangential_share: self.min_tangential_share,
             smooth_px: self.smooth_pixels,
+            noise_px: self.noise_pixels,
+            noise_share: self.noise_share,
             detach_depth_in_alignment: self.detach_source_depth,
             detach_direction: self.detach_direction,
             min_valid_fraction: self.min_valid_share,
@@ -263,6 +271,8 @@ impl GeometricConfig {
         not_negative("loss.geometric.min_tangential_flow", self.min_tangential_flow)?;
         fraction("loss.geometric.min_tangential_share", self.min_tangential_share)?;
         not_negative("loss.geometric.smooth_pixels", self.smooth_pixels)?;
+        not_negative("loss.geometric.noise_pixels", self.noise_pixels)?;
+        fraction("loss.geometric.noise_share", self.noise_share)?;
         fraction("loss.geometric.min_valid_share", self.min_valid_share)?;
         positive("loss.geometric.tau_translation", self.tau_translation)?;
         fraction("loss.geometric.kappa", self.kappa)?;
