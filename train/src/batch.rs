@@ -2,11 +2,11 @@
 
 use dimode_autodiff::{Tensor, par};
 use dimode_geometry::Intrinsics;
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::TrainConfig;
-use crate::data::{DataError, Dataset, Image, Jitter, flip_snippet, snippet};
+use crate::data::{Augmentation, DataError, Dataset, Image, snippet};
 use crate::model::stack;
 
 /// Three images each, `[n, 3, h, w]`, colours in [0, 1].
@@ -86,16 +86,13 @@ fn sample(
     config: &TrainConfig,
     rng: &mut ChaCha8Rng,
 ) -> Result<Sample, DataError> {
-    let mut taken = snippet(dataset, sequence, frame)?;
     // Drawn whether used or not, so that one option does not change the random numbers of another.
-    let (flip, jitter, draw) = (rng.random::<f64>() < 0.5, rng.random::<f64>() < 0.5, Jitter::draw(rng));
-    let flipped = flip && config.flip;
-    if flipped {
-        taken = flip_snippet(&taken);
-    }
+    let drawn = Augmentation::draw(rng);
+    let change = Augmentation { flip: drawn.flip && config.flip, jitter: drawn.jitter.filter(|_| config.jitter) };
+    let taken = change.geometry(&snippet(dataset, sequence, frame)?);
     let plain = [&taken.sources[0], &taken.target, &taken.sources[1]].map(|f| f.image.clone());
-    let seen = if jitter && config.jitter { plain.each_ref().map(|i| draw.apply(i)) } else { plain.clone() };
-    Ok(Sample { name: taken.name.clone(), flipped, plain, seen, intrinsics: taken.target.intrinsics })
+    let seen = plain.each_ref().map(|image| change.colours(image));
+    Ok(Sample { name: taken.name, flipped: change.flip, plain, seen, intrinsics: taken.target.intrinsics })
 }
 
 /// Tensors joined along the samples.
