@@ -1,7 +1,7 @@
 //! Whole training steps of the nano networks at 128 x 64, one in each stage.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dimode::config::{Config, FlowWeights};
+use dimode::config::{Config, FirstWeights};
 use dimode::model::Model;
 use dimode::optim::adamw::State;
 use dimode::trainer::Trainer;
@@ -9,7 +9,8 @@ use dimode_benches::rendered_batch;
 
 fn steps(c: &mut Criterion) {
     let mut config = Config::default();
-    config.nets.flow_weights = FlowWeights::Random;
+    config.nets.flow_weights = FirstWeights::Random;
+    config.nets.pose_weights = FirstWeights::Random;
     let batch = rendered_batch(&config);
     let weights = Model::new(&config.nets).init(1);
     let mut group = c.benchmark_group("training step");

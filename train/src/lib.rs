@@ -8,6 +8,7 @@ pub mod eval;
 pub mod losses;
 pub mod mirror;
 pub mod model;
+pub mod non_finite;
 pub mod objective;
 pub mod observed;
 pub mod optim;

@@ -22,7 +22,7 @@ use crate::losses::photometric::{photometric, photometric_value};
 use crate::losses::scale_anchor::scale_anchor;
 use crate::losses::smoothness::smoothness;
 use crate::model::DepthRange;
-use crate::trainer::{NonFinite, dot};
+use crate::non_finite::Failure;
 
 /// What the networks said about a batch of `n` snippets.
 pub struct Outputs<'t> {
@@ -92,24 +92,6 @@ pub struct TermReport {
     pub gradients: Option<TermGradients>,
 }
 
-/// A term that is not finite.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Failure {
-    /// `value` or `gradient`.
-    pub what: &'static str,
-    /// Name of the term.
-    pub term: String,
-    /// First sample of the batch where it can be seen.
-    pub sample: Option<usize>,
-}
-
-impl Failure {
-    /// The error with step and sample name.
-    pub(crate) fn at(self, step: u64, batch: &Batch, advice: &'static str) -> NonFinite {
-        NonFinite { step, what: self.what, term: self.term, sample: self.sample.map(|i| batch.names[i].clone()), advice }
-    }
-}
-
 /// Terms, total and gradients.
 pub struct Losses {
     /// The terms in order.
@@ -137,24 +119,33 @@ pub fn needs_source_depth(stage: &StageConfig) -> bool {
     stage.lambda1 > 0.0 || stage.lambda2 > 0.0
 }
 
+/// What a step brings along beside the networks' outputs.
+#[derive(Clone, Copy)]
+pub struct Given<'a> {
+    /// The frames.
+    pub batch: &'a Batch,
+    /// The weights.
+    pub stage: &'a StageConfig,
+    /// Optical flow from the target to both sources, `[2 n, 2, h, w]`, previous first.
+    pub flow: Option<&'a Tensor<f32>>,
+    /// Number of the step, from 0.
+    pub step: u64,
+    /// Whether each term's gradient is measured apart.
+    pub probe: bool,
+}
+
 /// Measures every term of the stage and the gradient of their weighted sum.
-///
-/// `flow` is the optical flow from the target to both sources, `[2 n, 2, h, w]`, previous first.
 ///
 /// # Errors
 /// When a term or its gradient is not finite.
-#[allow(clippy::too_many_arguments, reason = "each is a different kind of thing and used once")]
 pub fn measure(
     config: &Config,
     range: DepthRange,
     pool: &Arc<Pool<f32>>,
-    batch: &Batch,
-    stage: &StageConfig,
     outputs: &Outputs<'_>,
-    flow: Option<&Tensor<f32>>,
-    step: u64,
-    probe: bool,
+    given: &Given<'_>,
 ) -> Result<Losses, Failure> {
+    let Given { batch, stage, flow, step, probe } = *given;
     let tape = Tape::with_pool(pool.clone());
     let leaves = outputs.on(&tape);
     let scene = Scene::new(config, range, batch, &leaves, step);
@@ -358,6 +349,11 @@ fn twice<'l>(x: Var<'l, f32>) -> Var<'l, f32> {
 /// Share of ones.
 fn share(mask: &Tensor<f32>) -> f64 {
     mask.data().iter().map(|&m| f64::from(m)).sum::<f64>() / mask.shape().len() as f64
+}
+
+/// Sum of `x * weights`: carries a known gradient into a variable's tape.
+fn dot<'t>(x: Var<'t, f32>, weights: &Tensor<f32>) -> Var<'t, f32> {
+    x.mul(x.tape().constant(weights.clone())).sum()
 }
 
 fn collect<'l>(

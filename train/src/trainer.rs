@@ -6,39 +6,17 @@
 
 use std::sync::Arc;
 
-use dimode_autodiff::{Pool, Tape, Tensor, Var, par};
+use dimode_autodiff::{Pool, Tape, Tensor, par};
 use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, StatisticsUpdate};
 
 use crate::batch::{Batch, join};
 use crate::config::{Config, StageConfig};
 use crate::model::{Model, Weights};
-use crate::objective::{self, Outputs, TermReport};
+use crate::non_finite::{Failure, NonFinite};
+use crate::objective::{self, Given, Outputs, TermReport};
 use crate::observed::ObservedFlow;
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::{clip_scale, gradient_norm};
-
-/// A step that could not be taken; weights and optimiser are as before it.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("step {step}: the {what} of {term} is not finite ({}); {advice}", place(.sample.as_deref()))]
-pub struct NonFinite {
-    /// Step, from 0.
-    pub step: u64,
-    /// `value` or `gradient`.
-    pub what: &'static str,
-    /// Name of the loss term.
-    pub term: String,
-    /// Name of the first sample where it can be seen.
-    pub sample: Option<String>,
-    /// What to try.
-    pub advice: &'static str,
-}
-
-fn place(sample: Option<&str>) -> String {
-    sample.map_or_else(|| "in no single sample of the batch".to_owned(), |name| format!("first in sample {name}"))
-}
-
-const ADVICE: &str =
-    "the last checkpoint is intact; lower train.learning_rate, or choose a robust form of this term in [loss.geometric]";
 
 /// What a step did.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,10 +68,10 @@ impl Trainer {
             || stage.train_flow.then(|| shared.flow_gradients(batch)),
         );
         let Scene { mut terms, mut total, depth: depth_gradients, pose: pose_gradients, statistics } =
-            scene.map_err(|failure| failure.at(step, batch, ADVICE))?;
+            scene.map_err(|failure| failure.at(step, batch))?;
         let mut flow_step = None;
         if let Some(flow) = flow {
-            let (term, gradients) = flow.map_err(|failure| failure.at(step, batch, ADVICE))?;
+            let (term, gradients) = flow.map_err(|failure| failure.at(step, batch))?;
             total += term.weight * term.value;
             terms.push(term);
             flow_step = Some(gradients);
@@ -107,7 +85,7 @@ impl Trainer {
         for (norm, name) in norms.iter().zip(["depth network", "pose network", "flow network"]) {
             if norm.is_some_and(|n| !n.is_finite()) {
                 let term = format!("the {name}'s weights");
-                return Err(NonFinite { step, what: "gradient", term, sample: None, advice: ADVICE });
+                return Err(NonFinite { step, what: "gradient", term, sample: None });
             }
         }
         let optimiser = self.adamw();
@@ -141,7 +119,7 @@ impl Trainer {
         observed: Option<&Tensor<f32>>,
         step: u64,
         probe: bool,
-    ) -> Result<Scene, objective::Failure> {
+    ) -> Result<Scene, Failure> {
         let found;
         let flow = match observed {
             None if objective::needs_flow(&self.config.loss, stage) => {
@@ -154,7 +132,8 @@ impl Trainer {
         let mut depth = binder(&tape, &self.weights.depth, stage.train_depth);
         let mut pose = binder(&tape, &self.weights.pose, stage.train_pose);
         let outputs = self.run_networks(&tape, batch, stage, &mut depth, &mut pose);
-        let losses = objective::measure(&self.config, self.model.range, &self.pool, batch, stage, &outputs, flow, step, probe)?;
+        let losses =
+            objective::measure(&self.config, self.model.range, &self.pool, &outputs, &Given { batch, stage, flow, step, probe })?;
         let gradients = tape.backward_and_free(outputs.carry(&losses.gradients));
         Ok(Scene {
             terms: losses.terms,
@@ -200,7 +179,7 @@ impl Trainer {
     }
 
     /// Loss of the flow network on some pairs of the batch, and the gradients of its weights.
-    fn flow_gradients(&self, batch: &Batch) -> Result<(TermReport, Vec<ParamGradient<f32>>), objective::Failure> {
+    fn flow_gradients(&self, batch: &Batch) -> Result<(TermReport, Vec<ParamGradient<f32>>), Failure> {
         let tape = Tape::with_pool(self.pool.clone());
         let net = Binder::new(&tape, &self.weights.flow, Mode::Train);
         let settings = &self.config.loss.flow;
@@ -212,7 +191,7 @@ impl Trainer {
         let value = f64::from(loss.value().item());
         let term = TermReport { name: "l_flow".into(), weight: 1.0, value, valid: 1.0, gradients: None };
         if !value.is_finite() {
-            return Err(objective::Failure { what: "value", term: term.name, sample: None });
+            return Err(Failure { what: "value", term: term.name, sample: None });
         }
         Ok((term, net.gradients(&tape.backward_and_free(loss))))
     }
@@ -247,9 +226,4 @@ fn update(
         let next = optimiser.step(state, &key, &value, &gradient.gradient, rate, scale);
         set.set(&gradient.path, next);
     }
-}
-
-/// Sum of `x * weights`: carries a known gradient into a variable's tape.
-pub(crate) fn dot<'t>(x: Var<'t, f32>, weights: &Tensor<f32>) -> Var<'t, f32> {
-    x.mul(x.tape().constant(weights.clone())).sum()
 }

@@ -9,8 +9,8 @@ use crate::checkpoint::CheckpointError;
 use crate::config::ConfigError;
 use crate::data::DataError;
 use crate::eval::EvalError;
+use crate::non_finite::NonFinite;
 use crate::run::RunError;
-use crate::trainer::NonFinite;
 
 /// How the process ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,6 +8,7 @@ mod interrupt;
 mod options;
 mod output;
 mod pretrain_flow;
+mod pretrain_pose;
 mod synth;
 mod train;
 
@@ -84,6 +85,8 @@ enum Eval {
 enum Pretrain {
     /// Train the flow network on rendered pairs with exact flow
     Flow(pretrain_flow::PretrainFlowArgs),
+    /// Train the pose network on single pictures that are moved
+    Pose(pretrain_pose::PretrainPoseArgs),
 }
 
 /// Runs the command line of this process and gives its exit code.
@@ -112,6 +115,7 @@ fn dispatch(command: Command, typed: &str) -> anyhow::Result<Exit> {
         Command::Infer(args) => args.run(),
         Command::Synth(args) => args.run(),
         Command::Pretrain(Pretrain::Flow(args)) => args.run(),
+        Command::Pretrain(Pretrain::Pose(args)) => args.run(),
     }
 }
 

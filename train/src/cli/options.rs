@@ -4,6 +4,7 @@ use std::str::FromStr;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
+use super::failure::UsageError;
 use crate::config::Preset;
 
 /// Width and height in pixels, written `128x64`.
@@ -43,6 +44,18 @@ impl FromStr for Stages {
 /// Name of a kind of world.
 pub fn preset() -> impl TypedValueParser<Value = Preset> {
     PossibleValuesParser::new(Preset::ALL.map(Preset::name)).try_map(|name| name.parse::<Preset>())
+}
+
+/// A wrong usage with an advice, unless all is well.
+pub fn refuse_unless(ok: bool, what: impl FnOnce() -> String, advice: &str) -> Result<(), UsageError> {
+    if ok { Ok(()) } else { Err(UsageError::new(what(), advice)) }
+}
+
+/// Refuses sizes that the networks cannot halve often enough.
+pub fn refuse_unless_network_size(size: &Size) -> Result<(), UsageError> {
+    let whole = |value: usize| value >= 64 && value.is_multiple_of(32);
+    let what = || format!("--size {}x{}", size.width, size.height);
+    refuse_unless(whole(size.width) && whole(size.height), what, "use multiples of 32, at least 64x64")
 }
 
 /// Number of threads.

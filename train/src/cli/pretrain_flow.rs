@@ -1,16 +1,16 @@
 //! `dimode pretrain flow`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use clap::Args;
 use dimode_nets::FlowNetKind;
 
 use super::failure::{self, Exit, UsageError};
-use super::options::{Size, preset};
+use super::options::{Size, preset, refuse_unless, refuse_unless_network_size};
 use super::{interrupt, output};
 use crate::config::Preset;
-use crate::pretrain::{self, EndPointError, PretrainConfig, PretrainRequest};
+use crate::pretrain::flow::{self, EndPointError, PretrainConfig, PretrainRequest};
 use crate::progress::Bar;
 
 const LONG_ABOUT: &str = "\
@@ -67,11 +67,11 @@ pub struct PretrainFlowArgs {
 impl PretrainFlowArgs {
     /// Trains and writes the file.
     pub fn run(self) -> anyhow::Result<Exit> {
-        self.check_out()?;
+        check_out(&self.out, self.force)?;
         let (json, out) = (self.json, self.out.clone());
         let request = PretrainRequest { out: out.clone(), config: self.settings()? };
         let stop = interrupt::stop_flag("stopping; nothing will be written")?;
-        match pretrain::flow(&request, &Bar::new(), &stop) {
+        match flow::train(&request, &Bar::new(), &stop) {
             Err(error) if stop.load(Ordering::SeqCst) => {
                 failure::tell(&error);
                 return Ok(Exit::Interrupted);
@@ -81,19 +81,6 @@ impl PretrainFlowArgs {
             Ok(errors) => output::text(&format!("{}wrote {}", lines(&errors), out.display()))?,
         }
         Ok(Exit::Done)
-    }
-
-    /// Whether the file can be written is better known before the training than after it.
-    fn check_out(&self) -> anyhow::Result<()> {
-        if self.out.exists() && !self.force {
-            let what = format!("{}: already there", self.out.display());
-            return Err(UsageError::new(what, "name another file, or add --force to replace it").into());
-        }
-        let folder = self.out.parent().filter(|folder| !folder.as_os_str().is_empty());
-        if let Some(folder) = folder {
-            std::fs::create_dir_all(folder).map_err(|error| crate::data::DataError::write(folder, error))?;
-        }
-        Ok(())
     }
 
     fn settings(self) -> anyhow::Result<PretrainConfig> {
@@ -111,17 +98,27 @@ impl PretrainFlowArgs {
             warmup: base.warmup.min(self.steps / 2),
             seed: self.seed,
         };
-        let whole = |value: usize| value >= 64 && value.is_multiple_of(32);
-        let refuse = |ok: bool, what: String, advice: &str| if ok { Ok(()) } else { Err(UsageError::new(what, advice)) };
-        refuse(config.steps > 0, "--steps 0".to_owned(), "use 1 or more")?;
-        refuse(config.batch > 0, "--batch 0".to_owned(), "use 1 or more")?;
-        refuse(config.iterations > 0, "--iterations 0".to_owned(), "use 1 or more")?;
+        refuse_unless(config.steps > 0, || "--steps 0".to_owned(), "use 1 or more")?;
+        refuse_unless(config.batch > 0, || "--batch 0".to_owned(), "use 1 or more")?;
+        refuse_unless(config.iterations > 0, || "--iterations 0".to_owned(), "use 1 or more")?;
         let rate = config.learning_rate;
-        refuse(rate.is_finite() && rate > 0.0, format!("--learning-rate {rate}"), "use a finite number above 0")?;
-        let size = format!("--size {}x{}", config.width, config.height);
-        refuse(whole(config.width) && whole(config.height), size, "use multiples of 32, at least 64x64")?;
+        refuse_unless(rate.is_finite() && rate > 0.0, || format!("--learning-rate {rate}"), "use a finite number above 0")?;
+        refuse_unless_network_size(&size)?;
         Ok(config)
     }
+}
+
+/// Whether files can be written is better known before the training than after it.
+pub(super) fn check_out(out: &Path, force: bool) -> anyhow::Result<()> {
+    if out.exists() && !force {
+        let what = format!("{}: already there", out.display());
+        return Err(UsageError::new(what, "name another one, or add --force to replace it").into());
+    }
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder {
+        std::fs::create_dir_all(folder).map_err(|error| crate::data::DataError::write(folder, error))?;
+    }
+    Ok(())
 }
 
 fn lines(errors: &[EndPointError]) -> String {

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 use super::failure::{Exit, UsageError};
 use super::options::{Size, Stages, preset};
 use super::{interrupt, output};
-use crate::config::{Config, FlowWeights, GeometricConfig, Preset, StageConfig};
+use crate::config::{Config, FirstWeights, GeometricConfig, Preset, StageConfig};
 use crate::progress::{Bar, Progress};
 use crate::run::{self, RunFolder, TrainOutcome, TrainRequest};
 
@@ -92,7 +92,10 @@ pub struct TrainArgs {
     loss: Option<LossForm>,
     /// First weights of the flow network: embedded, random or a file
     #[arg(long, value_name = "WHICH")]
-    flow_weights: Option<FlowWeights>,
+    flow_weights: Option<FirstWeights>,
+    /// First weights of the pose network: embedded, random or a folder
+    #[arg(long, value_name = "WHICH")]
+    pose_weights: Option<FirstWeights>,
     /// Any other setting by its name in the file, for instance train.warmup=50; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
@@ -105,7 +108,7 @@ pub struct TrainArgs {
     /// Go on with the run in this folder, with its own settings
     #[arg(long, value_name = "DIR", conflicts_with_all = [
         "config", "data", "sequences", "preset", "quick", "steps", "batch", "seed", "learning_rate", "size", "stages",
-        "paper_schedule", "loss", "flow_weights", "set", "out", "force",
+        "paper_schedule", "loss", "flow_weights", "pose_weights", "set", "out", "force",
     ])]
     resume: Option<PathBuf>,
     /// Print the metrics as JSON instead of tables
@@ -127,7 +130,7 @@ impl TrainArgs {
         run::check_data(&config)?;
         let resume = self.resume.is_some();
         if !resume {
-            run::flow_weights::check_flow_weights(&config.nets)?;
+            run::first_weights::check_first_weights(&config.nets)?;
         }
         let out = match self.resume {
             Some(folder) => folder,
@@ -184,6 +187,7 @@ impl TrainArgs {
         replace(&mut config.train.batch, self.batch);
         replace(&mut config.train.learning_rate, self.learning_rate);
         replace(&mut config.nets.flow_weights, self.flow_weights.clone());
+        replace(&mut config.nets.pose_weights, self.pose_weights.clone());
         if let Some(Stages(numbers)) = &self.stages {
             config.train.only_stages = Some(numbers.clone());
         }

@@ -10,19 +10,19 @@ use serde::{Deserialize, Serialize};
 use super::error::{positive, require};
 use super::{ConfigError, by_name};
 
-/// Where the first weights of the flow network come from.
+/// Where the first weights of a pre-trained network come from.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum FlowWeights {
-    /// The file that is part of the program: pre-trained on rendered pairs with exact flow.
+pub enum FirstWeights {
+    /// What is part of the program: made by `dimode pretrain`.
     #[default]
     Embedded,
     /// Random numbers from the seed.
     Random,
-    /// A safetensors file, for instance one that `dimode pretrain flow` wrote.
+    /// What `dimode pretrain` wrote: a safetensors file for flow, a folder of them for pose.
     File(PathBuf),
 }
 
-impl fmt::Display for FlowWeights {
+impl fmt::Display for FirstWeights {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Embedded => f.write_str("embedded"),
@@ -32,7 +32,7 @@ impl fmt::Display for FlowWeights {
     }
 }
 
-impl FromStr for FlowWeights {
+impl FromStr for FirstWeights {
     type Err = std::convert::Infallible;
 
     fn from_str(name: &str) -> Result<Self, Self::Err> {
@@ -59,7 +59,11 @@ pub struct NetsConfig {
     pub flow: FlowNetKind,
     /// First weights of the flow network: `embedded`, `random` or a file.
     #[serde(with = "by_name")]
-    pub flow_weights: FlowWeights,
+    pub flow_weights: FirstWeights,
+    /// First weights of the pose network: `embedded`, `random` or a folder with `pose_encoder.safetensors` and
+    /// `pose.safetensors`.
+    #[serde(with = "by_name")]
+    pub pose_weights: FirstWeights,
     /// Factor on the rotation vector that the pose network says. The reference head says hundredths of a radian, for
     /// networks that train for days; 1 is the reference.
     pub rotation_scale: f64,
@@ -84,7 +88,8 @@ impl Default for NetsConfig {
             depth: DepthNetKind::NanoResnet,
             pose: PoseNetKind::Nano,
             flow: FlowNetKind::NanoRaftD4,
-            flow_weights: FlowWeights::Embedded,
+            flow_weights: FirstWeights::Embedded,
+            pose_weights: FirstWeights::Embedded,
             flow_iterations: 4,
             rotation_scale: 10.0,
             tangential_scale: 3.0,
@@ -100,10 +105,13 @@ impl NetsConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         let iterations = self.flow_iterations;
         require((1..=64).contains(&iterations), "nets.flow_iterations", iterations, "must be 1 to 64")?;
-        let embedded = self.flow_weights == FlowWeights::Embedded && self.flow != FlowNetKind::NanoRaftD4;
+        let embedded = self.flow_weights == FirstWeights::Embedded && self.flow != FlowNetKind::NanoRaftD4;
         let advice =
             "only those of nano_raft_d4 are part of the program; use \"random\", or a file that 'dimode pretrain flow' wrote";
         require(!embedded, "nets.flow_weights", &self.flow_weights, advice)?;
+        let embedded = self.pose_weights == FirstWeights::Embedded && self.pose != PoseNetKind::Nano;
+        let advice = "only those of nano are part of the program; use \"random\", or a folder that 'dimode pretrain pose' wrote";
+        require(!embedded, "nets.pose_weights", &self.pose_weights, advice)?;
         positive("nets.rotation_scale", self.rotation_scale)?;
         positive("nets.tangential_scale", self.tangential_scale)?;
         positive("nets.radial_scale", self.radial_scale)?;

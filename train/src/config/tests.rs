@@ -21,7 +21,7 @@ fn an_empty_file_is_the_default() {
 fn writing_and_reading_gives_the_same_configuration() {
     let mut config = Config::quick();
     config.data.path = Some("frames/a b".into());
-    config.nets.flow_weights = FlowWeights::File("flow.safetensors".into());
+    config.nets.flow_weights = FirstWeights::File("flow.safetensors".into());
     config.loss.geometric = GeometricConfig::literal();
     config.train.only_stages = Some(vec![1, 3]);
     assert_eq!(parse(&config.to_toml()).unwrap(), config);

@@ -1,4 +1,4 @@
-//! Supervised pre-training of the flow network on rendered pairs with exact flow: the stand-in for FlyingChairs.
+//! The flow network: supervised on rendered pairs with exact flow, the stand-in for FlyingChairs.
 //!
 //! Every step renders new worlds, so no pair is seen twice. Loss, optimiser and schedule follow RAFT at small scale: weighted
 //! sequence loss, AdamW, one warm-up and a decay to zero, gradient norm clipped at 1.
@@ -12,14 +12,14 @@ use dimode_nets::{Binder, FlowNet, FlowNetKind, Mode, Network, ParamSet, weights
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::data::synthetic::{Preset, Split, SyntheticConfig, SyntheticDataset};
+use super::{WorldKinds, step_all};
+use crate::data::synthetic::{Preset, Split, SyntheticDataset};
 use crate::data::{Dataset, Frame, PairTruth};
 use crate::losses::raft_sequence::raft_sequence;
 use crate::mirror::{mirrored, mirrored_flow};
 use crate::model::stack;
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::schedule::{Decay, learning_rate};
-use crate::optim::{clip_scale, gradient_norm};
 use crate::progress::Progress;
 
 /// Settings of the pre-training.
@@ -90,7 +90,7 @@ pub struct EndPointError {
 ///
 /// # Errors
 /// When interrupted, when the loss becomes non-finite, or when the file cannot be written.
-pub fn flow(request: &PretrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<EndPointError>> {
+pub fn train(request: &PretrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<EndPointError>> {
     par::inside(|| run(request, progress, stop))
 }
 
@@ -118,13 +118,8 @@ fn run(request: &PretrainRequest, progress: &dyn Progress, stop: &AtomicBool) ->
             bail!("pre-training flow: the loss became {value} at step {step}; lower the learning rate");
         }
         let gradients = binder.gradients(&tape.backward_and_free(loss));
-        let scale = clip_scale(gradient_norm(&gradients), 1.0);
         let rate = learning_rate(config.learning_rate, step, config.steps, config.warmup, Decay::Cosine { final_fraction: 0.01 });
-        for gradient in gradients {
-            let value = params.get(&gradient.path).expect("bound parameter").tensor().clone();
-            let next = optimiser.step(&mut state, &gradient.path, &value, &gradient.gradient, rate, scale);
-            params.set(&gradient.path, next);
-        }
+        step_all(&optimiser, &mut state, &mut params, gradients, rate);
         progress.step(step as u64 + 1, &format!("loss {value:.3}"));
         if (step + 1) % 250 == 0 {
             let errors = evaluate(config, &net, &params, 4)?;
@@ -187,22 +182,15 @@ struct Worlds {
 
 impl Worlds {
     fn new(config: &PretrainConfig, split: Split) -> Result<Self> {
-        let datasets = config
-            .presets
-            .iter()
-            .map(|&preset| {
-                SyntheticDataset::new(SyntheticConfig {
-                    preset,
-                    width: config.width,
-                    height: config.height,
-                    seed: config.seed,
-                    split,
-                    sequences: config.steps.max(1) * config.batch,
-                    frames: 4,
-                    ..SyntheticConfig::default()
-                })
-            })
-            .collect::<Result<Vec<_>, _>>()?;
+        let kinds = WorldKinds {
+            presets: &config.presets,
+            size: (config.width, config.height),
+            seed: config.seed,
+            split,
+            worlds: config.steps.max(1) * config.batch,
+            frames: 4,
+        };
+        let datasets = kinds.open()?;
         Ok(Worlds { datasets, batch: config.batch, seed: config.seed })
     }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 
-use crate::config::{Config, DataConfig, FlowWeights};
+use crate::config::{Config, DataConfig, FirstWeights};
 use crate::data::synthetic::{Split, SyntheticConfig, SyntheticDataset};
 use crate::data::{DataError, Dataset, LoadOptions, open};
 
@@ -63,11 +63,17 @@ fn worlds(config: &Config, split: Split, sequences: usize, frames: usize) -> Res
 ///
 /// **Errors** [`DataError`] for the first thing that cannot be used.
 pub fn check_data(config: &Config) -> Result<(), DataError> {
-    if let FlowWeights::File(path) = &config.nets.flow_weights
+    if let FirstWeights::File(path) = &config.nets.flow_weights
         && !path.is_file()
     {
         let advice = "check nets.flow_weights: embedded, random or a file that 'dimode pretrain flow' wrote".to_owned();
         return Err(DataError::Missing { path: path.clone(), what: "flow weights".to_owned(), advice });
+    }
+    if let FirstWeights::File(path) = &config.nets.pose_weights
+        && !path.is_dir()
+    {
+        let advice = "check nets.pose_weights: embedded, random or a folder that 'dimode pretrain pose' wrote".to_owned();
+        return Err(DataError::Missing { path: path.clone(), what: "pose weights".to_owned(), advice });
     }
     let Some(path) = &config.data.path else { return Ok(()) };
     let dataset = open_frames(path, &config.data)?;

@@ -3,7 +3,7 @@
 pub mod conclude;
 pub mod eval_depth;
 pub mod eval_odometry;
-pub mod flow_weights;
+pub mod first_weights;
 pub mod folder;
 pub mod frames;
 pub mod infer;

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use dimode_autodiff::{Tensor, par};
 use serde_json::{Map, Value, json};
 
-use super::flow_weights::load_flow_weights;
+use super::first_weights::load_first_weights;
 use super::trained::{NamedTensor, restore_weights, weight_tensors};
 use super::{RunFolder, TrainOutcome, TrainRequest, TrainedModel, conclude, training_frames};
 use crate::batch::Batch;
@@ -34,7 +34,7 @@ const PROBE_EVERY: u64 = 25;
 ///
 /// # Errors
 /// When data cannot be read, files cannot be written, the checkpoint does not fit the configuration, or a loss or gradient is
-/// not finite ([`crate::trainer::NonFinite`]); the last checkpoint stays.
+/// not finite ([`crate::non_finite::NonFinite`]); the last checkpoint stays.
 pub fn train(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<TrainOutcome> {
     par::inside(|| run(request, progress, stop))
 }
@@ -113,7 +113,7 @@ fn start(request: &TrainRequest, folder: &RunFolder) -> Result<(Trainer, u64)> {
     let model = Model::new(&config.nets);
     let mut weights = model.init(config.seed);
     if !request.resume {
-        load_flow_weights(&config.nets, &mut weights.flow)?;
+        load_first_weights(&config.nets, &mut weights)?;
         return Ok((Trainer::new(config, weights, State::default()), 0));
     }
     let path = folder.checkpoint();

@@ -110,6 +110,14 @@ fn flow_weights_that_do_not_exist() {
     assert!(!place.out.exists());
 }
 
+#[test]
+fn pose_weights_that_do_not_exist() {
+    let place = place(3);
+    let ran = dimode(&["train", "--pose-weights", "none", "--out", text(&place.out)]);
+    ran.refused(1, &["none", "pose weights not found"]);
+    assert!(!place.out.exists());
+}
+
 /// The tests may run as root, whom permissions do not stop; a folder below a file stops everyone.
 #[test]
 fn an_output_folder_that_cannot_be_made() {

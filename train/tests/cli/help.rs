@@ -14,7 +14,15 @@ fn the_top_teaches_the_commands_and_exit_codes() {
 
 #[test]
 fn every_command_has_examples() {
-    for words in [&["train"][..], &["eval", "depth"], &["eval", "odometry"], &["infer"], &["synth"], &["pretrain", "flow"]] {
+    for words in [
+        &["train"][..],
+        &["eval", "depth"],
+        &["eval", "odometry"],
+        &["infer"],
+        &["synth"],
+        &["pretrain", "flow"],
+        &["pretrain", "pose"],
+    ] {
         let help = dimode(&[words, &["--help"]].concat()).succeeded();
         assert!(help.contains("Examples:\n"), "{words:?}: {help}");
         assert!(help.contains(&format!("dimode {}", words.join(" "))), "{words:?}: {help}");

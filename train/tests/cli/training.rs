@@ -186,6 +186,35 @@ fn flow_weights_that_do_not_fit_are_refused_before_anything_is_written() {
 }
 
 #[test]
+fn pose_weights_that_do_not_fit_are_refused_before_anything_is_written() {
+    let place = Place::new();
+    let folder = place.path("pose");
+    fs::create_dir(&folder).unwrap();
+    fs::write(folder.join("pose_encoder.safetensors"), "not weights").unwrap();
+    let run = place.path("run");
+    let flags = ["train", "--out", text(&run), "--pose-weights", text(&folder)];
+    dimode(&flags).refused(1, &["pose_encoder.safetensors", "fix: name a folder that 'dimode pretrain pose' wrote"]);
+    assert!(!place.path("run").exists());
+}
+
+#[test]
+fn a_pre_trained_pose_network_starts_a_run() {
+    let place = Place::new();
+    let folder = place.path("pose");
+    let flags = ["--steps", "2", "--batch", "2", "--size", "64x64", "--preset-mix", "handheld", "--json"];
+    let ran = dimode(&[&["pretrain", "pose", "--out", text(&folder)][..], &flags].concat());
+    let errors: serde_json::Value = serde_json::from_str(&ran.succeeded()).unwrap();
+    assert_eq!(errors[0]["preset"], "handheld");
+    assert!(errors[0]["zero"].as_f64().unwrap() > 1.0);
+    let again = dimode(&["pretrain", "pose", "--out", text(&folder)]);
+    again.refused(2, &["pose: already there", "--force"]);
+    place.train("one", &["--steps", "1", "--pose-weights", text(&folder)]).succeeded();
+    place.train("other", &["--steps", "1"]).succeeded();
+    let hash_of = |run| hash(&place.checkpoint(run)).unwrap();
+    assert_ne!(hash_of("one"), hash_of("other"));
+}
+
+#[test]
 fn values_that_are_not_finite_stop_the_run_and_keep_the_checkpoint() {
     let place = Place::new();
     let wild = ["--steps", "9", "--learning-rate", "1e30", "--set", "train.checkpoint_every=1", "--set", "train.warmup=0"];
