@@ -93,7 +93,7 @@ impl Trainer {
         let gradients = [depth_gradients, pose_gradients, flow_step.unwrap_or_default()];
         for (k, ((set, gradients), name)) in sets.into_iter().zip(gradients).zip(["depth", "pose", "flow"]).enumerate() {
             let scale = clip_scale(norms[k].unwrap_or(0.0), clip);
-            let rate = if k == 2 { rate * self.config.loss.flow.rate } else { rate };
+            let rate = rate * [1.0, self.config.train.pose_rate, self.config.loss.flow.rate][k];
             update(&optimiser, &mut self.optimiser, set, name, gradients, rate, scale);
         }
         self.weights.depth.apply_statistics(&statistics[0]);

@@ -181,7 +181,7 @@ impl TrainArgs {
         replace(&mut config.seed, self.seed);
         if self.paper_schedule {
             config.train.stages = StageConfig::paper();
-            config.train.learning_rate = 1e-4;
+            (config.train.learning_rate, config.train.pose_rate) = (1e-4, 1.0);
         }
         replace(&mut config.train.steps, self.steps);
         replace(&mut config.train.batch, self.batch);

@@ -207,8 +207,8 @@ impl Default for GeometricConfig {
             min_tangential_flow: 0.5,
             min_tangential_share: 0.3,
             smooth_pixels: 0.0,
-            noise_pixels: 0.0,
-            noise_share: 0.0,
+            noise_pixels: 0.5,
+            noise_share: 0.15,
             min_valid_share: 0.1,
             z_min: 1e-3,
             detach_source_depth: true,
@@ -228,6 +228,8 @@ impl GeometricConfig {
             radial: RadialForm::Literal,
             static_mask: StaticMask::Mean,
             min_valid_share: 0.01,
+            noise_pixels: 0.0,
+            noise_share: 0.0,
             detach_source_depth: false,
             ..Self::default()
         }

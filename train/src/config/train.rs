@@ -91,6 +91,9 @@ pub struct TrainConfig {
     pub batch: usize,
     /// Full learning rate of AdamW, reached after the warm-up.
     pub learning_rate: f64,
+    /// The pose network's part of the learning rate: it starts from pre-trained weights, which the full rate shakes out of
+    /// place.
+    pub pose_rate: f64,
     /// Decoupled weight decay of AdamW.
     pub weight_decay: f64,
     /// Decay rates of the two running means of AdamW.
@@ -124,6 +127,7 @@ impl Default for TrainConfig {
             steps: 3600,
             batch: 4,
             learning_rate: 1e-3,
+            pose_rate: 0.2,
             weight_decay: 1e-2,
             betas: [0.9, 0.999],
             epsilon: 1e-8,
@@ -146,6 +150,7 @@ impl TrainConfig {
         require((1..=1 << 32).contains(&self.steps), "train.steps", self.steps, "must be 1 to 4294967296")?;
         require((1..=1024).contains(&self.batch), "train.batch", self.batch, "must be 1 to 1024")?;
         positive("train.learning_rate", self.learning_rate)?;
+        positive("train.pose_rate", self.pose_rate)?;
         not_negative("train.weight_decay", self.weight_decay)?;
         for beta in self.betas {
             require((0.0..1.0).contains(&beta), "train.betas", beta, "must be at least 0 and below 1")?;

@@ -8,7 +8,7 @@
 //!
 //! Loss: mean difference, in pixels, of the rigid flows by the predicted and by the drawn motion, both before the drawn depth.
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
@@ -88,11 +88,11 @@ pub struct MotionError {
 ///
 /// # Errors
 /// When interrupted, when the loss becomes non-finite, or when a file cannot be written.
-pub fn train(config: &PosePretraining, out: &PathBuf, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<MotionError>> {
+pub fn train(config: &PosePretraining, out: &Path, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<MotionError>> {
     par::inside(|| run(config, out, progress, stop))
 }
 
-fn run(config: &PosePretraining, out: &PathBuf, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<MotionError>> {
+fn run(config: &PosePretraining, out: &Path, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<MotionError>> {
     let model = model(config);
     let mut params = model.init(config.seed).pose;
     let pictures = Pictures::new(config, &config.presets, Split::Train)?;
