@@ -7,6 +7,7 @@ mod infer;
 mod interrupt;
 mod options;
 mod output;
+mod pretrain;
 mod pretrain_flow;
 mod pretrain_pose;
 mod synth;

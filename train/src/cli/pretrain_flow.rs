@@ -1,14 +1,14 @@
 //! `dimode pretrain flow`.
 
-use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::path::PathBuf;
 
 use clap::Args;
 use dimode_nets::FlowNetKind;
 
-use super::failure::{self, Exit, UsageError};
+use super::failure::Exit;
+use super::interrupt;
 use super::options::{Size, preset, refuse_unless, refuse_unless_network_size};
-use super::{interrupt, output};
+use super::pretrain::{check_out, conclude};
 use crate::config::Preset;
 use crate::pretrain::flow::{self, EndPointError, PretrainConfig, PretrainRequest};
 use crate::progress::Bar;
@@ -71,16 +71,7 @@ impl PretrainFlowArgs {
         let (json, out) = (self.json, self.out.clone());
         let request = PretrainRequest { out: out.clone(), config: self.settings()? };
         let stop = interrupt::stop_flag("stopping; nothing will be written")?;
-        match flow::train(&request, &Bar::new(), &stop) {
-            Err(error) if stop.load(Ordering::SeqCst) => {
-                failure::tell(&error);
-                return Ok(Exit::Interrupted);
-            }
-            Err(error) => return Err(error),
-            Ok(errors) if json => output::json(&errors)?,
-            Ok(errors) => output::text(&format!("{}wrote {}", lines(&errors), out.display()))?,
-        }
-        Ok(Exit::Done)
+        conclude(flow::train(&request, &Bar::new(), &stop), &stop, json, &out, line)
     }
 
     fn settings(self) -> anyhow::Result<PretrainConfig> {
@@ -108,25 +99,6 @@ impl PretrainFlowArgs {
     }
 }
 
-/// Whether files can be written is better known before the training than after it.
-pub(super) fn check_out(out: &Path, force: bool) -> anyhow::Result<()> {
-    if out.exists() && !force {
-        let what = format!("{}: already there", out.display());
-        return Err(UsageError::new(what, "name another one, or add --force to replace it").into());
-    }
-    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if let Some(folder) = folder {
-        std::fs::create_dir_all(folder).map_err(|error| crate::data::DataError::write(folder, error))?;
-    }
-    Ok(())
-}
-
-fn lines(errors: &[EndPointError]) -> String {
-    let line = |e: &EndPointError| {
-        format!(
-            "{:10} end-point error {:.3} px (zero flow {:.3} px) over {} held-out pairs\n",
-            e.preset, e.network, e.zero, e.pairs
-        )
-    };
-    errors.iter().map(line).collect()
+fn line(e: &EndPointError) -> String {
+    format!("{:10} end-point error {:.3} px (zero flow {:.3} px) over {} held-out pairs\n", e.preset, e.network, e.zero, e.pairs)
 }

@@ -1,15 +1,14 @@
 //! `dimode pretrain pose`.
 
 use std::path::PathBuf;
-use std::sync::atomic::Ordering;
 
 use clap::Args;
 use dimode_nets::PoseNetKind;
 
-use super::failure::{self, Exit};
+use super::failure::Exit;
+use super::interrupt;
 use super::options::{Size, preset, refuse_unless, refuse_unless_network_size};
-use super::pretrain_flow::check_out;
-use super::{interrupt, output};
+use super::pretrain::{check_out, conclude};
 use crate::config::Preset;
 use crate::pretrain::pose::{self, MotionError, PosePretraining};
 use crate::progress::Bar;
@@ -66,19 +65,11 @@ impl PretrainPoseArgs {
     /// Trains and writes the files.
     pub fn run(self) -> anyhow::Result<Exit> {
         check_out(&self.out, self.force)?;
+        refuse_unless(!self.out.is_file(), || format!("{}: is a file", self.out.display()), "name a folder")?;
         let (json, out) = (self.json, self.out.clone());
         let config = self.settings()?;
         let stop = interrupt::stop_flag("stopping; nothing will be written")?;
-        match pose::train(&config, &out, &Bar::new(), &stop) {
-            Err(error) if stop.load(Ordering::SeqCst) => {
-                failure::tell(&error);
-                return Ok(Exit::Interrupted);
-            }
-            Err(error) => return Err(error),
-            Ok(errors) if json => output::json(&errors)?,
-            Ok(errors) => output::text(&format!("{}wrote {}", lines(&errors), out.display()))?,
-        }
-        Ok(Exit::Done)
+        conclude(pose::train(&config, &out, &Bar::new(), &stop), &stop, json, &out, line)
     }
 
     fn settings(self) -> anyhow::Result<PosePretraining> {
@@ -104,12 +95,9 @@ impl PretrainPoseArgs {
     }
 }
 
-fn lines(errors: &[MotionError]) -> String {
-    let line = |e: &MotionError| {
-        format!(
-            "{:10} difference of flows {:.3} px (no motion {:.3} px) over {} held-out pairs\n",
-            e.preset, e.network, e.zero, e.pairs
-        )
-    };
-    errors.iter().map(line).collect()
+fn line(e: &MotionError) -> String {
+    format!(
+        "{:10} difference of flows {:.3} px (no motion {:.3} px) over {} held-out pairs\n",
+        e.preset, e.network, e.zero, e.pairs
+    )
 }

@@ -61,7 +61,8 @@ pub struct NetsConfig {
     #[serde(with = "by_name")]
     pub flow_weights: FirstWeights,
     /// First weights of the pose network: `embedded`, `random` or a folder with `pose_encoder.safetensors` and
-    /// `pose.safetensors`.
+    /// `pose.safetensors`. They belong to the default factors and depth range below; with others the motions that they say
+    /// at first have another size.
     #[serde(with = "by_name")]
     pub pose_weights: FirstWeights,
     /// Factor on the rotation vector that the pose network says. The reference head says hundredths of a radian, for

@@ -208,10 +208,30 @@ fn a_pre_trained_pose_network_starts_a_run() {
     assert!(errors[0]["zero"].as_f64().unwrap() > 1.0);
     let again = dimode(&["pretrain", "pose", "--out", text(&folder)]);
     again.refused(2, &["pose: already there", "--force"]);
+    let file = place.path("file");
+    fs::write(&file, "kept").unwrap();
+    let onto_file = dimode(&["pretrain", "pose", "--out", text(&file), "--force"]);
+    onto_file.refused(2, &["file: is a file", "name a folder"]);
     place.train("one", &["--steps", "1", "--pose-weights", text(&folder)]).succeeded();
     place.train("other", &["--steps", "1"]).succeeded();
     let hash_of = |run| hash(&place.checkpoint(run)).unwrap();
     assert_ne!(hash_of("one"), hash_of("other"));
+}
+
+#[test]
+fn the_pose_rate_is_the_pose_networks_alone() {
+    let place = Place::new();
+    let one_step = ["--steps", "1", "--set", "train.warmup=0", "--set"];
+    place.train("slow", &[&one_step[..], &["train.pose_rate=0.2"]].concat()).succeeded();
+    place.train("full", &[&one_step[..], &["train.pose_rate=1"]].concat()).succeeded();
+    let [slow, full] = ["slow", "full"].map(|run| Checkpoint::read(&place.checkpoint(run)).unwrap().tensors);
+    for network in ["depth/", "flow/", "pose/"] {
+        let of = |tensors: &[(String, Vec<usize>, dimode_autodiff::Tensor<f32>)]| -> Vec<Vec<f32>> {
+            tensors.iter().filter(|(name, ..)| name.starts_with(network)).map(|(_, _, values)| values.to_vec()).collect()
+        };
+        assert!(!of(&slow).is_empty(), "{network}");
+        assert_eq!(of(&slow) == of(&full), network != "pose/", "{network}");
+    }
 }
 
 #[test]
