@@ -5,6 +5,7 @@ pub mod cli;
 pub mod config;
 pub mod data;
 pub mod eval;
+pub mod looks;
 pub mod losses;
 pub mod mirror;
 pub mod model;

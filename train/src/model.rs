@@ -1,9 +1,7 @@
 //! The three networks of a run, and their weights.
 
-use dimode_autodiff::{Shape, Tape, Tensor, Var};
-use dimode_geometry::Se3;
+use dimode_autodiff::{Shape, Tensor, Var};
 use dimode_nets::{Binder, DepthNet, FlowNet, Network, ParamSet, PoseNet};
-use nalgebra::Vector3;
 
 use crate::config::NetsConfig;
 
@@ -42,6 +40,8 @@ pub struct Model {
     pub range: DepthRange,
     /// Factors on the pose network's rotation vector, tangential and radial translation.
     pub pose_scale: [f64; 3],
+    /// Looks of the pose network at a pair.
+    pub pose_iterations: usize,
     /// Refinements of the flow network.
     pub flow_iterations: usize,
 }
@@ -66,6 +66,7 @@ impl Model {
             flow: FlowNet::new(nets.flow.config()),
             range: DepthRange { min: nets.min_depth, max: nets.max_depth },
             pose_scale: [nets.rotation_scale, nets.tangential_scale, nets.radial_scale],
+            pose_iterations: nets.pose_iterations,
             flow_iterations: nets.flow_iterations,
         }
     }
@@ -80,23 +81,13 @@ impl Model {
         self.range.depth_values(&self.depth.predict(&weights.depth, images))
     }
 
-    /// Rotation vectors and translations `second_from_first`, each `[n, 3, 1, 1]`, on the tape.
+    /// Rotation vectors and translations `second_from_first`, each `[n, 3, 1, 1]`, on the tape: one look.
     pub fn motion<'t>(&self, binder: &mut Binder<'t, f32>, first: Var<'t, f32>, second: Var<'t, f32>) -> [Var<'t, f32>; 2] {
         let said = self.pose.forward(binder, first, second);
         let [rotation, tangential, radial] = self.pose_scale;
         let factors =
             Tensor::from_fn(said.translation.shape(), |_, c, _, _| if c < 2 { tangential as f32 } else { radial as f32 });
         [said.axis_angle.scale(rotation), said.translation.mul(binder.tape().constant(factors))]
-    }
-
-    /// Motions `second_from_first` of image pairs `[n, 3, h, w]`, the earlier frame first.
-    pub fn predict_motion(&self, weights: &Weights, first: &Tensor<f32>, second: &Tensor<f32>) -> Vec<Se3> {
-        let tape = Tape::new();
-        let mut binder = Binder::frozen(&tape, &weights.pose);
-        let (a, b) = (tape.constant(first.clone()), tape.constant(second.clone()));
-        let [rotation, translation] = self.motion(&mut binder, a, b).map(|x| x.value());
-        let vector = |t: &Tensor<f32>, n: usize| Vector3::from_fn(|i, _| f64::from(t.at(n, i, 0, 0)));
-        (0..first.shape().n()).map(|n| Se3::from_rotation_vector(&vector(&rotation, n), vector(&translation, n))).collect()
     }
 
     /// Flow `[n, 2, h, w]` in pixels from the first to the second image.

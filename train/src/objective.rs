@@ -1,7 +1,7 @@
 //! The total loss `L = L_pho + smoothness + scale + lambda1 (L_axi + L_pla) + lambda2 (L_rad + L_tan) + lambda3 L_loc` of a batch, term by term
 //! (paper, eq. `overall_loss`).
 //!
-//! The terms are measured on a tape of their own whose leaves are what the networks said: disparities, rotation vectors,
+//! The terms are measured on a tape of their own whose leaves are what the networks said: disparities, rotations,
 //! translations. That is where each term's gradient with respect to depth, rotation and translation is read off.
 
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::{Gradients, Pool, Tape, Tensor, Var};
 use dimode_geometry::Intrinsics;
 use dimode_geometry::losses as geometric;
-use dimode_geometry::taped::{self, masks};
+use dimode_geometry::taped::{self, Pose, masks};
 
 use crate::batch::{Batch, join};
 use crate::config::{Config, LossConfig, SCALE_ANCHOR, Sources, StageConfig, StaticMask};
@@ -30,10 +30,8 @@ pub struct Outputs<'t> {
     pub disparities: Vec<Var<'t, f32>>,
     /// Disparities of the sources, previous ones first, `[2 n, 1, h, w]`; only when the alignment needs them.
     pub source_disparity: Option<Var<'t, f32>>,
-    /// Rotation vectors of (previous, target) and (target, next), `[2 n, 3, 1, 1]`, radians.
-    pub rotation: Var<'t, f32>,
-    /// Translations of the same pairs, `[2 n, 3, 1, 1]`.
-    pub translation: Var<'t, f32>,
+    /// Motions `source_from_target`, 2 n of them, previous ones first.
+    pub motion: Pose<'t, f32>,
 }
 
 /// The gradient of the total with respect to [`Outputs`], in the same order.
@@ -43,7 +41,7 @@ impl<'t> Outputs<'t> {
     fn all(&self) -> Vec<Var<'t, f32>> {
         let mut all = self.disparities.clone();
         all.extend(self.source_disparity);
-        all.extend([self.rotation, self.translation]);
+        all.extend([self.motion.rotation, self.motion.translation]);
         all
     }
 
@@ -58,8 +56,10 @@ impl<'t> Outputs<'t> {
         Outputs {
             disparities: self.disparities.iter().map(|d| tape.leaf(d.value())).collect(),
             source_disparity: self.source_disparity.map(|d| tape.leaf(d.value())),
-            rotation: tape.leaf(self.rotation.value()),
-            translation: tape.leaf(self.translation.value()),
+            motion: Pose {
+                rotation: tape.leaf(self.motion.rotation.value()),
+                translation: tape.leaf(self.motion.translation.value()),
+            },
         }
     }
 }
@@ -69,7 +69,7 @@ impl<'t> Outputs<'t> {
 pub struct TermGradients {
     /// Disparities.
     pub disparity: f64,
-    /// Rotation vectors.
+    /// Rotations, per radian of a small turn about each axis.
     pub rotation: f64,
     /// Tangential translation (x, y).
     pub tangential: f64,
@@ -181,16 +181,7 @@ struct Scene<'a, 'l> {
 
 impl<'a, 'l> Scene<'a, 'l> {
     fn new(config: &'a Config, range: DepthRange, batch: &'a Batch, leaves: &'a Outputs<'l>, step: u64) -> Self {
-        let n = batch.names.len();
-        let part = |x: Var<'l, f32>, k: usize| x.slice(0, k * n, n);
-        // The network sees frames in the order of time: the pair (previous, target) is predicted forwards and inverted.
-        let pose = |k: usize, invert| {
-            let (rotation, translation) = (part(leaves.rotation, k), part(leaves.translation, k));
-            taped::source_from_target(rotation, translation, invert, taped::RotationForm::Exponential)
-        };
-        let (previous, next) = (pose(0, true), pose(1, false));
-        let rotation = Var::concat(&[previous.rotation, next.rotation], 0);
-        let translation = Var::concat(&[previous.translation, next.translation], 0);
+        let Pose { rotation, translation } = leaves.motion;
         let cameras = [&batch.intrinsics[..], &batch.intrinsics[..]].concat();
         let depth = twice(range.depth(leaves.disparities[0]));
         let rigid = taped::rigid_flow(depth, rotation, translation, &cameras);
@@ -411,15 +402,45 @@ fn probe_term<'l>(tape: &'l Tape<f32>, leaves: &Outputs<'l>, term: &Term<'l>) ->
     let gradients: Gradients<f32> = tape.backward(term.value.scale(term.weight));
     let norm = |x: &[f32]| x.iter().map(|&x| f64::from(x) * f64::from(x)).sum::<f64>();
     let disparity: f64 = leaves.disparities.iter().chain(&leaves.source_disparity).map(|&d| norm(gradients.wrt(d).data())).sum();
-    let translation = gradients.wrt(leaves.translation);
+    let translation = gradients.wrt(leaves.motion.translation);
+    let turn = turns(&leaves.motion.rotation.value(), &gradients.wrt(leaves.motion.rotation));
     let axis = |axes: &[usize]| {
         let pairs = (0..translation.shape().n()).flat_map(|n| axes.iter().map(move |&c| (n, c)));
         pairs.map(|(n, c)| f64::from(translation.at(n, c, 0, 0)).powi(2)).sum::<f64>().sqrt()
     };
-    TermGradients {
-        disparity: disparity.sqrt(),
-        rotation: norm(gradients.wrt(leaves.rotation).data()).sqrt(),
-        tangential: axis(&[0, 1]),
-        radial: axis(&[2]),
+    TermGradients { disparity: disparity.sqrt(), rotation: norm(&turn).sqrt(), tangential: axis(&[0, 1]), radial: axis(&[2]) }
+}
+
+/// The gradient with respect to rotation vectors `w` in `R exp(w)` at `w = 0`, from that with respect to the matrices
+/// `[n, 1, 3, 3]`: three numbers a sample.
+fn turns(rotation: &Tensor<f32>, gradient: &Tensor<f32>) -> Vec<f32> {
+    let product = |n: usize, i: usize, j: usize| (0..3).map(|k| rotation.at(n, 0, k, i) * gradient.at(n, 0, k, j)).sum::<f32>();
+    let axis = |n: usize, i: usize, j: usize| product(n, j, i) - product(n, i, j);
+    (0..rotation.shape().n()).flat_map(|n| [axis(n, 1, 2), axis(n, 2, 0), axis(n, 0, 1)]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dimode_autodiff::Shape;
+    use dimode_autodiff::gradcheck::random;
+    use dimode_geometry::so3;
+    use nalgebra::{Matrix3, Vector3};
+
+    #[test]
+    fn turns_are_the_slopes_of_small_turns() {
+        let weights = random::<f32>(4, Shape::new(2, 1, 3, 3), -1.0, 1.0);
+        let rotations = [Vector3::new(0.3, -0.2, 0.5), Vector3::new(-0.1, 0.7, 0.2)].map(|w| so3::exp(&w));
+        let value = |n: usize, r: &Matrix3<f64>| -> f64 {
+            (0..3).flat_map(|i| (0..3).map(move |j| (i, j))).map(|(i, j)| f64::from(weights.at(n, 0, i, j)) * r[(i, j)]).sum()
+        };
+        let plain = Tensor::from_fn(Shape::new(2, 1, 3, 3), |n, _, i, j| rotations[n][(i, j)] as f32);
+        let got = turns(&plain, &weights);
+        for (k, got) in got.into_iter().enumerate() {
+            let (n, axis) = (k / 3, k % 3);
+            let turned = |h: f64| value(n, &(rotations[n] * so3::exp(&Vector3::from_fn(|i, _| if i == axis { h } else { 0.0 }))));
+            let slope = (turned(1e-4) - turned(-1e-4)) / 2e-4;
+            assert!((f64::from(got) - slope).abs() < 1e-5, "sample {n}, axis {axis}: {got} instead of {slope}");
+        }
     }
 }

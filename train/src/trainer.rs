@@ -11,6 +11,7 @@ use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, StatisticsUpdate};
 
 use crate::batch::{Batch, join};
 use crate::config::{Config, StageConfig};
+use crate::looks::Pairs;
 use crate::model::{Model, Weights};
 use crate::non_finite::{Failure, NonFinite};
 use crate::objective::{self, Given, Outputs, TermReport};
@@ -163,11 +164,19 @@ impl Trainer {
             true => disparities[0].slice(0, n, 2 * n),
             false => tape.constant(self.source_disparity(batch, stage.train_depth)),
         });
-        let targets = disparities.iter().take(self.config.loss.scales).map(|d| d.slice(0, 0, n)).collect();
-        let first = tape.constant(join(&[&images.previous, &images.target]));
-        let second = tape.constant(join(&[&images.target, &images.next]));
-        let [rotation, translation] = self.model.motion(pose, first, second);
-        Outputs { disparities: targets, source_disparity: sources, rotation, translation }
+        let targets: Vec<_> = disparities.iter().take(self.config.loss.scales).map(|d| d.slice(0, 0, n)).collect();
+        let depth = self.model.range.depth_values(&targets[0].value());
+        let motion = self.model.source_from_target(
+            pose,
+            &Pairs {
+                target: &join(&[&images.target, &images.target]),
+                source: &join(&[&images.previous, &images.next]),
+                earlier: n,
+                depth: Some(&join(&[&depth, &depth])),
+                cameras: &[&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
+            },
+        );
+        Outputs { disparities: targets, source_disparity: sources, motion }
     }
 
     /// Disparities of the sources, previous ones first, `[2 n, 1, h, w]`: values only, on a tape that is gone afterwards.

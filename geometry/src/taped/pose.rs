@@ -22,6 +22,13 @@ impl<'t, T: Scalar> Pose<'t, T> {
         Self { rotation, translation: rotate(rotation, self.translation).neg() }
     }
 
+    /// The motions after `first`: `R R_first`, `R t_first + t`.
+    #[must_use]
+    pub fn after(self, first: Self) -> Self {
+        let translation = rotate(self.rotation, first.translation).add(self.translation);
+        Self { rotation: self.rotation.matmul(first.rotation), translation }
+    }
+
     /// `R^T t`, the translations in the target frame (N,3,1,1).
     #[must_use]
     pub fn translation_in_target_frame(self) -> Var<'t, T> {
@@ -122,6 +129,33 @@ mod tests {
         }
         let (r, t) = pose_tensors::<f64>(&[Se3::identity()]);
         assert_eq!((r.at(0, 0, 1, 1), t.data()), (1.0, [0.0; 3].as_slice()));
+    }
+
+    #[test]
+    fn one_motion_after_another_agrees_with_the_plain_motions_and_has_their_gradient() {
+        let shape = Shape::new(2, 3, 1, 1);
+        let inputs: Vec<_> = (0..4).map(|i| random::<f64>(10 + i, shape, -0.5, 0.5)).collect();
+        fn two<'t>(v: &[Var<'t, f64>]) -> [Pose<'t, f64>; 2] {
+            [0, 2].map(|i| source_from_target(v[i], v[i + 1], false, RotationForm::Exponential))
+        }
+        let tape = Tape::<f64>::new();
+        let leaves: Vec<_> = inputs.iter().map(|x| tape.leaf(x.clone())).collect();
+        let [a, b] = two(&leaves);
+        for ((got, a), b) in a.after(b).to_se3().into_iter().zip(a.to_se3()).zip(b.to_se3()) {
+            let expected = a * b;
+            assert!((got.rotation - expected.rotation).abs().max() < 1e-14);
+            assert!((got.translation - expected.translation).norm() < 1e-14);
+        }
+        let check = gradcheck(
+            &inputs,
+            |_, v| {
+                let [a, b] = two(v);
+                let both = a.after(b);
+                weighted_sum(both.rotation, 3).add(weighted_sum(both.translation, 4))
+            },
+            GradCheck::default(),
+        );
+        check.assert_ok();
     }
 
     #[test]

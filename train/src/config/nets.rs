@@ -74,6 +74,9 @@ pub struct NetsConfig {
     /// Factor on the radial translation (z) that the pose network says; 1 is the reference. Large: depth learns from radial
     /// flow only once z is of the right size.
     pub radial_scale: f64,
+    /// Looks of the pose network at a pair. From the second on it sees the source warped by the depth and the motion said so
+    /// far, and says what is left; 1 is the reference.
+    pub pose_iterations: usize,
     /// Refinements of the flow per pair.
     pub flow_iterations: usize,
     /// Smallest depth the depth network can say, in the free unit of monocular training. Half the disparity range is twice
@@ -91,6 +94,7 @@ impl Default for NetsConfig {
             flow: FlowNetKind::NanoRaftD4,
             flow_weights: FirstWeights::Embedded,
             pose_weights: FirstWeights::Embedded,
+            pose_iterations: 2,
             flow_iterations: 4,
             rotation_scale: 10.0,
             tangential_scale: 3.0,
@@ -106,6 +110,8 @@ impl NetsConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         let iterations = self.flow_iterations;
         require((1..=64).contains(&iterations), "nets.flow_iterations", iterations, "must be 1 to 64")?;
+        let looks = self.pose_iterations;
+        require((1..=8).contains(&looks), "nets.pose_iterations", looks, "must be 1 to 8")?;
         let embedded = self.flow_weights == FirstWeights::Embedded && self.flow != FlowNetKind::NanoRaftD4;
         let advice =
             "only those of nano_raft_d4 are part of the program; use \"random\", or a file that 'dimode pretrain flow' wrote";
