@@ -61,7 +61,7 @@ impl Grain {
     }
 }
 
-/// A wall of a building: windows, bricks or plaster. `scale` 1 for streets, smaller for rooms.
+/// A wall of a building: windows, bricks or plaster.
 pub fn facade(draw: &mut Draw) -> Material {
     let base = stone(draw, 0.32, 0.75);
     let mut octaves = Grain::new(3.0, 0.1, 0.13).octaves(draw);
@@ -98,22 +98,78 @@ pub fn object(draw: &mut Draw, size: f64) -> Material {
     Material { base, octaves, pattern }
 }
 
-/// The wall, floor or ceiling of a room.
-pub fn interior(draw: &mut Draw) -> Material {
-    let base = colour(draw, 0.35, 0.75, 0.3);
-    let mut octaves = Grain::new(1.6, 0.03, 0.13).octaves(draw);
-    if draw.chance(0.4) {
-        octaves.extend(Grain::new(0.25, 0.05, 0.10).stretched(5.0, 1.0).octaves(draw));
-    }
-    let other = colour(draw, 0.15, 0.85, 0.5);
-    let pattern = match draw.index(6) {
-        0 => Pattern::Checker(draw.range(0.25, 0.6) as f32, other, 0.5),
-        1 => Pattern::Bricks(draw.range(0.3, 0.7) as f32, draw.range(0.12, 0.3) as f32, other),
-        2 => Pattern::Stripes(draw.range(0.3, 0.8) as f32, 0.5, other, 0.5),
-        3 => Pattern::Windows([1.3, 1.1], [0.5, 0.6], other),
+/// Wood: browns, grained along its length.
+pub fn wood(draw: &mut Draw) -> Material {
+    let light = draw.range(0.22, 0.6);
+    let base = [light * draw.range(1.1, 1.35), light, light * draw.range(0.55, 0.8)].map(|c| c as f32);
+    let mut octaves = Grain::new(0.3, 0.03, 0.10).stretched(5.0, 1.0).octaves(draw);
+    octaves.extend(Grain::new(0.6, 0.05, 0.08).octaves(draw));
+    Material { base, octaves, pattern: Pattern::Plain }
+}
+
+/// Cloth of chairs and carpets: strong colours, fine grain.
+pub fn fabric(draw: &mut Draw) -> Material {
+    let base = colour(draw, 0.2, 0.65, 0.45);
+    let octaves = Grain::new(0.5, 0.02, 0.13).octaves(draw);
+    let other = colour(draw, 0.15, 0.8, 0.45);
+    let pattern = match draw.index(4) {
+        0 => Pattern::Stripes(draw.range(0.12, 0.2) as f32, 0.5, other, 0.6),
+        1 => Pattern::Checker(draw.range(0.1, 0.16) as f32, other, 0.5),
         _ => Pattern::Plain,
     };
     Material { base, octaves, pattern }
+}
+
+/// The floor of a room: boards, tiles or carpet, darker than the walls.
+pub fn floor(draw: &mut Draw) -> Material {
+    match draw.index(3) {
+        0 => {
+            let dark = colour(draw, 0.1, 0.2, 0.3);
+            Material { pattern: Pattern::Bricks(1.4, 0.18, dark), ..wood(draw) }
+        }
+        1 => {
+            let base = stone(draw, 0.35, 0.6);
+            let octaves = Grain::new(1.2, 0.04, 0.11).octaves(draw);
+            Material { base, octaves, pattern: Pattern::Bricks(0.4, 0.4, stone(draw, 0.2, 0.7)) }
+        }
+        _ => Material {
+            base: colour(draw, 0.2, 0.5, 0.4),
+            octaves: Grain::new(1.2, 0.03, 0.14).octaves(draw),
+            pattern: Pattern::Plain,
+        },
+    }
+}
+
+/// The wall of a room: pale paint with stains, wallpaper or brick.
+pub fn paint(draw: &mut Draw) -> Material {
+    let base = colour(draw, 0.5, 0.75, 0.2);
+    let octaves = Grain::new(1.6, 0.03, 0.10).octaves(draw);
+    let other = colour(draw, 0.4, 0.85, 0.25);
+    let pattern = match draw.index(5) {
+        0 => Pattern::Bricks(0.3, 0.12, other),
+        1 => Pattern::Stripes(draw.range(0.25, 0.35) as f32, 0.5, other, 0.5),
+        _ => Pattern::Plain,
+    };
+    Material { base, octaves, pattern }
+}
+
+/// The ceiling of a room, white woodwork: bright, in panels or plain.
+pub fn ceiling(draw: &mut Draw) -> Material {
+    let base = stone(draw, 0.72, 0.86);
+    let octaves = Grain::new(1.2, 0.04, 0.07).octaves(draw);
+    let pattern = if draw.chance(0.5) { Pattern::Bricks(0.6, 0.6, stone(draw, 0.5, 0.65)) } else { Pattern::Plain };
+    Material { base, octaves, pattern }
+}
+
+/// A window: dark or bright glass between bars.
+pub fn pane(draw: &mut Draw) -> Material {
+    let frame = stone(draw, 0.6, 0.85);
+    let glass = if draw.chance(0.5) { colour(draw, 0.1, 0.3, 0.2) } else { colour(draw, 0.8, 0.95, 0.05) };
+    Material {
+        base: frame,
+        octaves: Grain::new(0.5, 0.05, 0.06).octaves(draw),
+        pattern: Pattern::Windows([0.5, 0.6], [0.8, 0.8], glass),
+    }
 }
 
 /// Leaves: strong irregular contrast in greens and browns.

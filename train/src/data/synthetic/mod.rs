@@ -16,6 +16,7 @@ mod cache;
 mod config;
 mod dataset;
 mod face;
+mod furniture;
 mod handheld;
 mod lateral;
 mod material;

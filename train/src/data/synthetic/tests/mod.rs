@@ -107,7 +107,7 @@ fn images_have_contrast_everywhere_that_matters() {
 #[test]
 fn depth_is_known_nearly_everywhere_and_within_range() {
     for (preset, range, known) in
-        [(Preset::Street, 1.0..90.0, 0.85), (Preset::Handheld, 0.5..16.0, 0.9), (Preset::Lateral, 1.2..45.0, 0.95)]
+        [(Preset::Street, 1.0..90.0, 0.85), (Preset::Handheld, 0.35..16.0, 0.9), (Preset::Lateral, 1.2..45.0, 0.95)]
     {
         let data = dataset(preset, |_| ());
         let (mut count, mut with_depth) = (0, 0);

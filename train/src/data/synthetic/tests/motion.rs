@@ -25,8 +25,9 @@ fn distance(face: &Face, point: &Vector3<f64>) -> f64 {
 
 #[test]
 fn camera_keeps_clear_of_all_geometry() {
-    for preset in Preset::ALL {
-        for seed in 0..6 {
+    // A hand may lift the camera to 0.4 m below the ceiling of a low room.
+    for (preset, least) in [(Preset::Street, 0.8), (Preset::Handheld, 0.39), (Preset::Lateral, 0.8)] {
+        for seed in 0..12 {
             let config = SyntheticConfig { preset, seed, ..SyntheticConfig::default() };
             let world = World::new(&config, seed as usize);
             for pose in world.poses.iter().step_by(4) {
@@ -37,7 +38,7 @@ fn camera_keeps_clear_of_all_geometry() {
                 };
                 for face in world.faces.iter().filter(near) {
                     let gap = distance(face, &pose.translation);
-                    assert!(gap >= 0.8, "{preset} seed {seed}: {gap} m");
+                    assert!(gap >= least, "{preset} seed {seed}: {gap} m");
                 }
             }
         }
