@@ -56,6 +56,16 @@ pub enum ConfigError {
         /// All values that can stand here.
         known: Vec<String>,
     },
+    /// The configuration of a run lacks a setting, as those that earlier versions wrote do.
+    #[error("{}: '{key}' is missing; the run was made by another version of dimode, whose behaviour the file does not name. Add the line with the value that means what the run was trained with (a new run has {default}), or train again", path.display())]
+    MissingKey {
+        /// The file.
+        path: PathBuf,
+        /// The key with its table.
+        key: String,
+        /// The value that a new run has.
+        default: String,
+    },
     /// A value outside its range.
     #[error("{key} = {value}: {advice}")]
     Value {

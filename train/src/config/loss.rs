@@ -120,9 +120,6 @@ impl LossConfig {
         not_negative("loss.smoothness", self.smoothness)?;
         not_negative("loss.flow_consistency", self.flow_consistency)?;
         not_negative("loss.scale_anchor", self.scale_anchor)?;
-        require(self.flow.pairs >= 1, "loss.flow.pairs", self.flow.pairs, "must be at least 1")?;
-        not_negative("loss.flow.smoothness", self.flow.smoothness)?;
-        not_negative("loss.flow.rate", self.flow.rate)?;
         require((1..=4).contains(&self.scales), "loss.scales", self.scales, "must be 1 to 4")?;
         not_negative("loss.flow.rate", self.flow.rate)?;
         require((1..=1024).contains(&self.flow.pairs), "loss.flow.pairs", self.flow.pairs, "must be 1 to 1024")?;

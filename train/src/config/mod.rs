@@ -101,6 +101,21 @@ impl Config {
         Self::from_toml(&text, path)
     }
 
+    /// Reads a file that must name every setting, as [`Config::to_toml`] writes it: what a run was made with must not follow
+    /// the defaults of a later version.
+    ///
+    /// **Errors** as [`Config::read`], and [`ConfigError::MissingKey`] for the first setting that is missing.
+    pub fn read_complete(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        let config = Self::from_toml(&text, path)?;
+        let given: toml::Table = toml::from_str(&text).expect("read before");
+        let whole = toml::Table::try_from(&config).expect("a configuration holds only what TOML can hold");
+        match missing(&whole, &given, "") {
+            Some((key, default)) => Err(ConfigError::MissingKey { path: path.to_owned(), key, default }),
+            None => Ok(config),
+        }
+    }
+
     /// The configuration as TOML; [`Config::from_toml`] gives back an equal one.
     pub fn to_toml(&self) -> String {
         toml::to_string_pretty(self).expect("a configuration holds only what TOML can hold")
@@ -117,6 +132,16 @@ impl Config {
         self.train.validate()?;
         self.eval.validate()
     }
+}
+
+/// The first key of `whole` that `given` does not have, with its table, and its value.
+fn missing(whole: &toml::Table, given: &toml::Table, table: &str) -> Option<(String, String)> {
+    whole.iter().find_map(|(key, value)| match (value, given.get(key)) {
+        (toml::Value::Table(inner), None) => missing(inner, &toml::Table::new(), &format!("{table}{key}.")),
+        (toml::Value::Table(inner), Some(toml::Value::Table(given))) => missing(inner, given, &format!("{table}{key}.")),
+        (_, Some(_)) => None,
+        (value, None) => Some((format!("{table}{key}"), value.to_string())),
+    })
 }
 
 #[cfg(test)]

@@ -119,7 +119,7 @@ impl RunFolder {
     ///
     /// **Errors** [`ConfigError`].
     pub fn read_config(&self) -> Result<Config, ConfigError> {
-        let config = Config::read(&self.config())?;
+        let config = Config::read_complete(&self.config())?;
         config.validate()?;
         Ok(config)
     }
@@ -182,6 +182,22 @@ mod tests {
         RunFolder::create(&path, &config, true).unwrap();
         assert!(!run.checkpoint().exists() && !run.metrics().exists());
         assert!(path.join("notes.txt").exists());
+    }
+
+    #[test]
+    fn a_run_that_does_not_name_a_setting_is_refused() {
+        let place = tempfile::tempdir().unwrap();
+        let run = RunFolder::create(place.path().join("run"), &Config::default(), false).unwrap();
+        run.write_config(&Config::default()).unwrap();
+        let text = fs::read_to_string(run.config()).unwrap();
+        for (key, name) in [("pose_iterations", "nets.pose_iterations"), ("noise_share", "loss.geometric.noise_share")] {
+            let without: Vec<_> = text.lines().filter(|line| !line.starts_with(key)).collect();
+            fs::write(run.config(), without.join("\n")).unwrap();
+            let message = run.read_config().unwrap_err().to_string();
+            assert!(message.contains(&format!("'{name}' is missing")), "{message}");
+        }
+        fs::write(run.config(), text).unwrap();
+        run.read_config().unwrap();
     }
 
     #[test]

@@ -145,8 +145,10 @@ fn resuming_what_is_no_run_or_a_damaged_one() {
     let place = place(3);
     dimode(&["train", "--resume", text(&place.data)]).refused(2, &["no run found", "config.toml"]);
     fs::create_dir_all(&place.out).unwrap();
-    fs::write(place.out.join("config.toml"), "").unwrap();
     fs::write(place.out.join("checkpoint.safetensors"), "garbage, but long enough for a header").unwrap();
+    fs::write(place.out.join("config.toml"), "seed = 1").unwrap();
+    dimode(&["train", "--resume", text(&place.out)]).refused(2, &["config.toml", "'data.", "is missing", "another version"]);
+    fs::write(place.out.join("config.toml"), dimode(&["train", "--print-config"]).succeeded()).unwrap();
     dimode(&["train", "--resume", text(&place.out)]).refused(1, &["checkpoint.safetensors", "not a usable checkpoint"]);
     dimode(&["train", "--resume", text(&place.out), "--steps", "3"]).code_is(2);
 }
