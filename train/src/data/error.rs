@@ -66,12 +66,14 @@ pub enum DataError {
         other_size: (usize, usize),
     },
     /// A sequence with too few frames for one snippet.
-    #[error("{}: {found} frame(s) found, but training needs at least three frames (previous, target, next); add frames or name another folder", path.display())]
+    #[error("{}: {found} frame(s) found, but {}; add frames or name another folder", path.display(), need(*needed))]
     TooFewFrames {
         /// The folder of the frames.
         path: PathBuf,
         /// How many there are.
         found: usize,
+        /// How many are needed.
+        needed: usize,
     },
     /// Files that belong together have different numbers of entries.
     #[error("{}: {found} {what}, but {expected} frames in {}; {advice}", path.display(), frames.display())]
@@ -117,6 +119,13 @@ pub enum DataError {
         /// How many there are.
         len: usize,
     },
+}
+
+fn need(frames: usize) -> String {
+    match frames {
+        3 => "training needs at least three frames (previous, target, next)".to_owned(),
+        _ => format!("at least {frames} must be there, as PNG or JPEG files"),
+    }
 }
 
 fn line_suffix(line: Option<usize>) -> String {

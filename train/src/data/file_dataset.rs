@@ -156,10 +156,11 @@ pub(crate) fn image_files(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
 
 /// The common (width, height) of the files of a sequence.
 ///
-/// **Errors** fewer than three files, a file that is no complete image, two sizes (both files are named).
-pub(crate) fn common_size(folder: &Path, files: &[PathBuf]) -> Result<(usize, usize), DataError> {
-    if files.len() < 3 {
-        return Err(DataError::TooFewFrames { path: folder.to_owned(), found: files.len() });
+/// **Errors** fewer than `needed` files (or none), a file that is no complete image, two sizes (both files are named).
+pub(crate) fn common_size(folder: &Path, files: &[PathBuf], needed: usize) -> Result<(usize, usize), DataError> {
+    let needed = needed.max(1);
+    if files.len() < needed {
+        return Err(DataError::TooFewFrames { path: folder.to_owned(), found: files.len(), needed });
     }
     let first = image_size(&files[0])?;
     for file in &files[1..] {

@@ -21,12 +21,13 @@ use super::times::read_times;
 
 /// Opens a folder of frames, or a folder of such folders, and checks all of it but the pixels.
 ///
-/// **Errors** name the file: no frames, fewer than three, different sizes, truncated files; a missing intrinsics file (with
+/// **Errors** name the file: no frames, fewer than asked for, different sizes, truncated files; a missing intrinsics file (with
 /// an example of one), its faults, intrinsics of another shape; faults of the poses and times and counts that differ.
 pub fn open_folder(root: &Path, options: &LoadOptions) -> Result<FileDataset, DataError> {
     options.check()?;
     let folders = sequence_folders(root, &options.sequences)?;
-    let sequences = folders.iter().map(|folder| open_sequence(root, folder)).collect::<Result<Vec<_>, _>>()?;
+    let sequences =
+        folders.iter().map(|folder| open_sequence(root, folder, options.min_frames)).collect::<Result<Vec<_>, _>>()?;
     Ok(FileDataset::new(last_part(root), sequences, options))
 }
 
@@ -80,10 +81,10 @@ fn sequence_folders(root: &Path, wanted: &[String]) -> Result<Vec<PathBuf>, Data
     wanted.iter().map(find).collect()
 }
 
-fn open_sequence(root: &Path, folder: &Path) -> Result<FileSequence, DataError> {
+fn open_sequence(root: &Path, folder: &Path, min_frames: usize) -> Result<FileSequence, DataError> {
     let images = frames_folder(folder)?.unwrap_or_else(|| folder.to_owned());
     let files = image_files(&images)?;
-    let (width, height) = common_size(&images, &files)?;
+    let (width, height) = common_size(&images, &files, min_frames)?;
     let camera_file = intrinsics_path(root, folder)?;
     let intrinsics = IntrinsicsFile::read(&camera_file)?.camera(&camera_file, width, height)?;
     let pose_file = folder.join("poses.txt");

@@ -20,12 +20,12 @@ use super::times::read_times;
 /// Opens a folder of the KITTI odometry layout and checks all of it but the pixels.
 ///
 /// **Errors** name the file: no `sequences` folder, no sequence in it, an asked-for sequence or camera that is not there,
-/// fewer than three frames, gaps in the numbering, frames of different sizes, truncated files, faults of the calibration,
+/// fewer frames than asked for, gaps in the numbering, frames of different sizes, truncated files, faults of the calibration,
 /// the times and the poses, counts that differ from the number of frames.
 pub fn open_kitti_odometry(root: &Path, options: &LoadOptions) -> Result<FileDataset, DataError> {
     options.check()?;
     let folders = sequence_folders(root, options)?;
-    let sequences = folders.iter().map(|folder| open_sequence(root, folder, options.camera)).collect::<Result<Vec<_>, _>>()?;
+    let sequences = folders.iter().map(|folder| open_sequence(root, folder, options)).collect::<Result<Vec<_>, _>>()?;
     Ok(FileDataset::new(last_part(root), sequences, options))
 }
 
@@ -70,12 +70,12 @@ fn find_camera(folder: &Path, wanted: Option<KittiCamera>) -> Option<KittiCamera
     wishes.into_iter().find(|camera| folder.join(camera.folder()).is_dir())
 }
 
-fn open_sequence(root: &Path, folder: &Path, wanted: Option<KittiCamera>) -> Result<FileSequence, DataError> {
-    let camera = find_camera(folder, wanted).unwrap_or(KittiCamera::LeftGrey);
+fn open_sequence(root: &Path, folder: &Path, options: &LoadOptions) -> Result<FileSequence, DataError> {
+    let camera = find_camera(folder, options.camera).unwrap_or(KittiCamera::LeftGrey);
     let name = last_part(folder);
     let images = folder.join(camera.folder());
     let files = image_files(&images)?;
-    let (width, height) = common_size(&images, &files)?;
+    let (width, height) = common_size(&images, &files, options.min_frames)?;
     check_numbering(&files)?;
     let intrinsics = Calibration::read(&folder.join("calib.txt"))?.camera(&camera.label(), width, height)?;
     let times_file = folder.join("times.txt");

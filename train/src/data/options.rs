@@ -45,13 +45,15 @@ pub struct LoadOptions {
     /// Cut the centre to the shape of `size` before resizing, so that pixels keep their aspect; without it the whole frame
     /// is squeezed (the intrinsics follow in both cases).
     pub center_crop: bool,
+    /// Frames that every sequence must have: 3 to train, 1 to look at depth.
+    pub min_frames: usize,
     /// Bytes of decoded frames that are kept in memory.
     pub cache_bytes: usize,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { sequences: Vec::new(), camera: None, size: None, center_crop: false, cache_bytes: 256 << 20 }
+        Self { sequences: Vec::new(), camera: None, size: None, center_crop: false, min_frames: 3, cache_bytes: 256 << 20 }
     }
 }
 

@@ -97,7 +97,7 @@ fn frames_of(model: &TrainedModel, data: Option<&Path>, sequences: &[String]) ->
             if data.is_some() || !sequences.is_empty() {
                 settings.sequences = sequences.to_vec();
             }
-            open_frames(path, &settings)
+            open_frames(path, &settings, 1)
         }
         None => Ok(Box::new(held_out_worlds(&model.config)?)),
     }

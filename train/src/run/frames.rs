@@ -10,17 +10,19 @@ use crate::data::{DataError, Dataset, LoadOptions, open};
 
 /// A folder with at most this many frames is decoded as a whole before a run begins.
 const CHECKED_FRAMES: usize = 400;
+/// Frames of a snippet.
+const SNIPPET: usize = 3;
 
 /// How frames of a folder are loaded for networks of this configuration.
 pub fn load_options(data: &DataConfig) -> LoadOptions {
     LoadOptions { sequences: data.sequences.clone(), size: Some((data.width, data.height)), ..LoadOptions::default() }
 }
 
-/// The frames of a folder at the size of the networks.
+/// The frames of a folder at the size of the networks; every sequence has at least `min_frames`.
 ///
 /// **Errors** [`DataError`] as [`open`].
-pub fn open_frames(path: &Path, data: &DataConfig) -> Result<Box<dyn Dataset>, DataError> {
-    open(path, &load_options(data))
+pub fn open_frames(path: &Path, data: &DataConfig, min_frames: usize) -> Result<Box<dyn Dataset>, DataError> {
+    open(path, &LoadOptions { min_frames, ..load_options(data) })
 }
 
 /// The frames that a configuration trains on: its folder, or the training worlds of its seed.
@@ -28,7 +30,7 @@ pub fn open_frames(path: &Path, data: &DataConfig) -> Result<Box<dyn Dataset>, D
 /// **Errors** [`DataError`].
 pub fn training_frames(config: &Config) -> Result<Box<dyn Dataset>, DataError> {
     match &config.data.path {
-        Some(path) => open_frames(path, &config.data),
+        Some(path) => open_frames(path, &config.data, SNIPPET),
         None => Ok(Box::new(worlds(config, Split::Train, config.data.worlds, config.data.frames)?)),
     }
 }
@@ -76,7 +78,7 @@ pub fn check_data(config: &Config) -> Result<(), DataError> {
         return Err(DataError::Missing { path: path.clone(), what: "pose weights".to_owned(), advice });
     }
     let Some(path) = &config.data.path else { return Ok(()) };
-    let dataset = open_frames(path, &config.data)?;
+    let dataset = open_frames(path, &config.data, SNIPPET)?;
     let frames: Vec<(usize, usize)> =
         (0..dataset.sequence_count()).flat_map(|s| (0..dataset.sequence_len(s)).map(move |f| (s, f))).collect();
     if frames.len() <= CHECKED_FRAMES {

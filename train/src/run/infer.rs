@@ -50,7 +50,7 @@ pub fn infer(request: &InferRequest, progress: &dyn Progress) -> Result<Vec<Sequ
     let model = TrainedModel::load(&request.run)?;
     let mut data = model.config.data.clone();
     data.sequences.clone_from(&request.sequences);
-    let dataset = open_frames(&request.data, &data)?;
+    let dataset = open_frames(&request.data, &data, 1)?;
     let staging = staging_beside(&request.out);
     if staging.exists() {
         fs::remove_dir_all(&staging).map_err(|error| DataError::write(&staging, error))?;

@@ -107,6 +107,12 @@ fn a_run_leaves_report_metrics_log_and_can_be_used() {
     let trajectory = fs::read_to_string(sequence.join("trajectory.kitti.txt")).unwrap();
     assert_eq!(trajectory.lines().count(), 4);
     dimode(&infer).refused(2, &["not empty"]);
+
+    let (single, out) = (place.path("single"), place.path("depth of one"));
+    crate::frames(&single, 1);
+    let infer = ["infer", "--run", text(&run), "--data", text(&single), "--out", text(&out), "--json"];
+    let summary: serde_json::Value = serde_json::from_str(&dimode(&infer).succeeded()).unwrap();
+    assert_eq!(summary[0]["frames"], 1, "a single picture has a depth, too");
 }
 
 #[test]
