@@ -64,7 +64,7 @@ impl<'t> Outputs<'t> {
     }
 }
 
-/// Norms of a weighted term's gradient with respect to the outputs.
+/// Norms of a weighted term's gradient with respect to disparities and motions `source_from_target`.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TermGradients {
     /// Disparities.

@@ -11,13 +11,13 @@ use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, StatisticsUpdate};
 
 use crate::batch::{Batch, join};
 use crate::config::{Config, StageConfig};
-use crate::looks::Pairs;
 use crate::model::{Model, Weights};
 use crate::non_finite::{Failure, NonFinite};
 use crate::objective::{self, Given, Outputs, TermReport};
 use crate::observed::ObservedFlow;
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::{clip_scale, gradient_norm};
+use crate::pose_refinement::Pairs;
 
 /// What a step did.
 #[derive(Clone, Debug, PartialEq)]

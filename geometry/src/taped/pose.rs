@@ -22,11 +22,13 @@ impl<'t, T: Scalar> Pose<'t, T> {
         Self { rotation, translation: rotate(rotation, self.translation).neg() }
     }
 
-    /// The motions after `first`: `R R_first`, `R t_first + t`.
+    /// `self` after `other`: `R R_other`, `R t_other + t`.
+    ///
+    /// **Frames**: `c_from_b.compose(b_from_a)` is `c_from_a`.
     #[must_use]
-    pub fn after(self, first: Self) -> Self {
-        let translation = rotate(self.rotation, first.translation).add(self.translation);
-        Self { rotation: self.rotation.matmul(first.rotation), translation }
+    pub fn compose(self, other: Self) -> Self {
+        let translation = rotate(self.rotation, other.translation).add(self.translation);
+        Self { rotation: self.rotation.matmul(other.rotation), translation }
     }
 
     /// `R^T t`, the translations in the target frame (N,3,1,1).
@@ -141,7 +143,7 @@ mod tests {
         let tape = Tape::<f64>::new();
         let leaves: Vec<_> = inputs.iter().map(|x| tape.leaf(x.clone())).collect();
         let [a, b] = two(&leaves);
-        for ((got, a), b) in a.after(b).to_se3().into_iter().zip(a.to_se3()).zip(b.to_se3()) {
+        for ((got, a), b) in a.compose(b).to_se3().into_iter().zip(a.to_se3()).zip(b.to_se3()) {
             let expected = a * b;
             assert!((got.rotation - expected.rotation).abs().max() < 1e-14);
             assert!((got.translation - expected.translation).norm() < 1e-14);
@@ -150,7 +152,7 @@ mod tests {
             &inputs,
             |_, v| {
                 let [a, b] = two(v);
-                let both = a.after(b);
+                let both = a.compose(b);
                 weighted_sum(both.rotation, 3).add(weighted_sum(both.translation, 4))
             },
             GradCheck::default(),

@@ -41,7 +41,7 @@ The run folder holds report.html, metrics.json, log.jsonl, config.toml and check
 /// Form of the four geometric losses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum LossForm {
-    /// Bounded residuals in the consistent frame (the default)
+    /// Residuals in pixels of flow, in the consistent frame (the default)
     Robust,
     /// Exactly as the equations are printed
     Literal,
@@ -157,6 +157,10 @@ impl TrainArgs {
         for setting in &self.set {
             config = config.with_setting(setting)?;
         }
+        // Another folder may be the current one when the run is resumed.
+        if let Some(path) = &mut config.data.path {
+            *path = std::path::absolute(&*path).unwrap_or_else(|_| path.clone());
+        }
         config.validate()?;
         Ok(config)
     }
@@ -167,8 +171,7 @@ impl TrainArgs {
         }
         let data = &mut config.data;
         if let Some(path) = &self.data {
-            // Another folder may be the current one when the run is resumed.
-            data.path = Some(std::path::absolute(path).unwrap_or_else(|_| path.clone()));
+            data.path = Some(path.clone());
             data.sequences.clone_from(&self.sequences);
         }
         if let Some(preset) = self.preset {

@@ -70,14 +70,14 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
         let probe = step.is_multiple_of(PROBE_EVERY);
         let next = (step + 1 < steps).then(|| sampler.batch(step as usize + 1));
         // A network that is not trained in this step or the next can already look at the next batch.
-        let looks = !stage.train_flow && needs_flow(&config.loss, schedule.stage(step + 1).1);
-        let eyes = looks.then(|| (trainer.model.clone(), trainer.weights.flow.clone(), trainer.pool().clone()));
+        let early = !stage.train_flow && needs_flow(&config.loss, schedule.stage(step + 1).1);
+        let flow_network = early.then(|| (trainer.model.clone(), trainer.weights.flow.clone(), trainer.pool().clone()));
         let (report, upcoming) = par::join(
             || trainer.step(&batch, flow.as_ref(), stage, step, rate, probe),
             || -> Result<Option<Prepared>> {
                 let Some(items) = next else { return Ok(None) };
                 let batch = load(items, step + 1)?;
-                let flow = eyes.map(|(model, weights, pool)| observed.of(&model, &weights, &batch, &pool));
+                let flow = flow_network.map(|(model, weights, pool)| observed.of(&model, &weights, &batch, &pool));
                 Ok(Some(Prepared { batch, flow }))
             },
         );

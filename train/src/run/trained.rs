@@ -89,7 +89,7 @@ impl TrainedModel {
         }
         let images = |part: &[&Frame]| stack(part.iter().map(|frame| &frame.image));
         let (first, second) = (images(&frames[..frames.len() - 1]), images(&frames[1..]));
-        let cameras: Vec<_> = frames[1..].iter().map(|frame| frame.intrinsics).collect();
+        let cameras: Vec<_> = frames[..frames.len() - 1].iter().map(|frame| frame.intrinsics).collect();
         self.model.predict_motion(&self.weights, &first, &second, &cameras)
     }
 }

@@ -1,4 +1,4 @@
-//! Camera motion of a pair of images in one look of the pose network or several.
+//! Camera motion of pairs of images: the pose network, and its refinement by looking again.
 //!
 //! After the first look the source is warped to the target with the depth of the target and the motion that was said; the next
 //! look sees what is left between the two, and what it says is composed with what was said before. A network that looks once has
@@ -42,7 +42,7 @@ impl Model {
         for _ in 1..self.pose_iterations {
             let depth = tape.constant(pairs.depth.expect("a second look needs depth").clone());
             let seen = warped(source, depth, pose.detach(), pairs.cameras);
-            pose = pose.after(self.look(binder, target, seen, pairs.earlier));
+            pose = pose.compose(self.look(binder, target, seen, pairs.earlier));
         }
         pose
     }
@@ -111,12 +111,13 @@ mod tests {
 
     impl Setting {
         fn new(looks: usize) -> Self {
-            let nets = NetsConfig { pose_iterations: looks, rotation_scale: 100.0, tangential_scale: 30.0, ..Default::default() };
+            let nets =
+                NetsConfig { pose_iterations: looks, rotation_scale: 500.0, tangential_scale: 100.0, ..Default::default() };
             let model = Model::new(&nets);
             let weights = model.init(3);
-            let image = |seed, from: f64| random::<f32>(seed, Shape::new(N, 3, 32, 64), from, 1.0);
-            let cameras = vec![Intrinsics::new(50.0, 48.0, 31.0, 15.5, 64, 32).unwrap(); N];
-            let depth = random(7, Shape::new(N, 1, 32, 64), 0.3, 0.8);
+            let image = |seed, from: f64| random::<f32>(seed, Shape::new(N, 3, 64, 64), from, 1.0);
+            let cameras = vec![Intrinsics::new(50.0, 48.0, 31.0, 31.5, 64, 64).unwrap(); N];
+            let depth = random(7, Shape::new(N, 1, 64, 64), 0.3, 0.8);
             Setting { model, weights, target: image(5, 0.0), source: image(6, -0.5), depth, cameras }
         }
 
@@ -174,9 +175,12 @@ mod tests {
             let warped = Setting { source: once.warped(&first), ..Setting::new(1) };
             let second = warped.said(&warped.pairs(earlier));
             for (n, got) in twice.said(&twice.pairs(earlier)).iter().enumerate() {
-                assert!(gap(&first[n], &second[n]) > 1e-4, "both looks say the same: the test could not tell");
-                let gap = gap(got, &(first[n] * second[n]));
-                assert!(gap < 1e-4, "earlier {earlier}, sample {n}: {gap}");
+                let right = gap(got, &(first[n] * second[n]));
+                assert!(right < 1e-4, "earlier {earlier}, sample {n}: {right}");
+                for (other, what) in [(second[n] * first[n], "exchanged"), (first[n], "first"), (first[n] * first[n], "twice")] {
+                    let wrong = gap(got, &other);
+                    assert!(wrong > 1e-2, "the test could not tell: {what} looks differ by {wrong}");
+                }
             }
         }
     }
@@ -203,13 +207,26 @@ mod tests {
         let warped = Setting { source: once.warped(&first), ..Setting::new(1) };
         let second = warped.said(&warped.pairs(0));
         let whole = gradients(&twice, &|pose| value(pose));
-        let of_first = gradients(&once, &|pose| value(pose.after(constant(pose.rotation.tape(), &second))));
-        let of_second = gradients(&warped, &|pose| value(constant(pose.rotation.tape(), &first).after(pose)));
+        let of_first = gradients(&once, &|pose| value(pose.compose(constant(pose.rotation.tape(), &second))));
+        let of_second = gradients(&warped, &|pose| value(constant(pose.rotation.tape(), &first).compose(pose)));
         let size = |x: &mut dyn Iterator<Item = f32>| x.map(|x| f64::from(x).powi(2)).sum::<f64>().sqrt();
         let parts = of_first.iter().zip(&of_second);
         let gap = size(&mut whole.iter().zip(parts).map(|(whole, (a, b))| whole - a - b));
         let smallest = size(&mut of_first.iter().copied()).min(size(&mut of_second.iter().copied()));
         assert!(gap < 1e-3 * smallest, "{gap} of {smallest}");
+    }
+
+    #[test]
+    fn predictions_use_the_depth_of_the_first_image() {
+        let twice = Setting::new(2);
+        let got = twice.model.predict_motion(&twice.weights, &twice.target, &twice.source, &twice.cameras);
+        let of = |image| twice.model.predict_depth(&twice.weights, image);
+        let with = |depth: &Tensor<f32>| twice.said(&Pairs { depth: Some(depth), ..twice.pairs(0) });
+        let (right, wrong) = (with(&of(&twice.target)), with(&of(&twice.source)));
+        for n in 0..N {
+            assert!(gap(&got[n], &right[n]) < 1e-6);
+            assert!(gap(&got[n], &wrong[n]) > 1e-4, "depth of the other image says the same: the test could not tell");
+        }
     }
 
     #[test]
