@@ -40,8 +40,10 @@ pub struct Model {
     pub range: DepthRange,
     /// Factors on the pose network's rotation vector, tangential and radial translation.
     pub pose_scale: [f64; 3],
-    /// Looks of the pose network at a pair.
+    /// Looks of the pose network at a pair in training.
     pub pose_iterations: usize,
+    /// Looks where motion is predicted.
+    pub pose_test_iterations: usize,
     /// Refinements of the flow network.
     pub flow_iterations: usize,
 }
@@ -67,6 +69,7 @@ impl Model {
             range: DepthRange { min: nets.min_depth, max: nets.max_depth },
             pose_scale: [nets.rotation_scale, nets.tangential_scale, nets.radial_scale],
             pose_iterations: nets.pose_iterations,
+            pose_test_iterations: nets.pose_test_iterations,
             flow_iterations: nets.flow_iterations,
         }
     }

@@ -31,15 +31,15 @@ pub struct Pairs<'a> {
 }
 
 impl Model {
-    /// Motions `source_from_target` on the tape. Every look passes a gradient to the network; none passes through the warp.
+    /// Motions `source_from_target` in a number of looks, on the tape. Every look passes a gradient to the network; none passes through the warp.
     ///
     /// # Panics
     /// When there is more than one look and no depth, or when a shape does not fit.
-    pub fn source_from_target<'t>(&self, binder: &mut Binder<'t, f32>, pairs: &Pairs<'_>) -> Pose<'t, f32> {
+    pub fn source_from_target<'t>(&self, binder: &mut Binder<'t, f32>, pairs: &Pairs<'_>, looks: usize) -> Pose<'t, f32> {
         let tape = binder.tape();
         let [target, source] = [pairs.target, pairs.source].map(|x| tape.constant(x.clone()));
         let mut pose = self.look(binder, target, source, pairs.earlier);
-        for _ in 1..self.pose_iterations {
+        for _ in 1..looks {
             let depth = tape.constant(pairs.depth.expect("a second look needs depth").clone());
             let seen = warped(source, depth, pose.detach(), pairs.cameras);
             pose = pose.compose(self.look(binder, target, seen, pairs.earlier));
@@ -75,11 +75,11 @@ impl Model {
         second: &Tensor<f32>,
         cameras: &[Intrinsics],
     ) -> Vec<Se3> {
-        let depth = (self.pose_iterations > 1).then(|| self.predict_depth(weights, first));
+        let depth = (self.pose_test_iterations > 1).then(|| self.predict_depth(weights, first));
         let tape = Tape::new();
         let mut binder = Binder::frozen(&tape, &weights.pose);
         let pairs = Pairs { target: first, source: second, earlier: 0, depth: depth.as_ref(), cameras };
-        self.source_from_target(&mut binder, &pairs).to_se3()
+        self.source_from_target(&mut binder, &pairs, self.pose_test_iterations).to_se3()
     }
 }
 
@@ -112,7 +112,7 @@ mod tests {
     impl Setting {
         fn new(looks: usize) -> Self {
             let nets =
-                NetsConfig { pose_iterations: looks, rotation_scale: 500.0, tangential_scale: 100.0, ..Default::default() };
+                NetsConfig { pose_test_iterations: looks, rotation_scale: 500.0, tangential_scale: 100.0, ..Default::default() };
             let model = Model::new(&nets);
             let weights = model.init(3);
             let image = |seed, from: f64| random::<f32>(seed, Shape::new(N, 3, 64, 64), from, 1.0);
@@ -128,7 +128,8 @@ mod tests {
 
         fn said(&self, pairs: &Pairs<'_>) -> Vec<Se3> {
             let tape = Tape::new();
-            self.model.source_from_target(&mut Binder::frozen(&tape, &self.weights.pose), pairs).to_se3()
+            let looks = self.model.pose_test_iterations;
+            self.model.source_from_target(&mut Binder::frozen(&tape, &self.weights.pose), pairs, looks).to_se3()
         }
 
         /// The sources read where the target's pixels went, point by point.
@@ -199,7 +200,7 @@ mod tests {
         let gradients = |setting: &Setting, change: &dyn for<'t> Fn(Pose<'t, f32>) -> Var<'t, f32>| -> Vec<f32> {
             let tape = Tape::new();
             let mut binder = Binder::new(&tape, &setting.weights.pose, Mode::Eval);
-            let pose = setting.model.source_from_target(&mut binder, &setting.pairs(0));
+            let pose = setting.model.source_from_target(&mut binder, &setting.pairs(0), setting.model.pose_test_iterations);
             let gradients = binder.gradients(&tape.backward(change(pose)));
             gradients.iter().flat_map(|g| g.gradient.to_vec()).collect()
         };

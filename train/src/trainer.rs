@@ -175,6 +175,7 @@ impl Trainer {
                 depth: Some(&join(&[&depth, &depth])),
                 cameras: &[&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
             },
+            self.model.pose_iterations,
         );
         Outputs { disparities: targets, source_disparity: sources, motion }
     }

@@ -74,9 +74,11 @@ pub struct NetsConfig {
     /// Factor on the radial translation (z) that the pose network says; 1 is the reference. Large: depth learns from radial
     /// flow only once z is of the right size.
     pub radial_scale: f64,
-    /// Looks of the pose network at a pair. From the second on it sees the source warped by the depth and the motion said so
+    /// Looks of the pose network at a pair in training. From the second on it sees the source warped by the depth and the motion said so
     /// far, and says what is left; 1 is the reference.
     pub pose_iterations: usize,
+    /// Looks where motion is predicted: more than in training cost little and see smaller remains, as with RAFT's refinements.
+    pub pose_test_iterations: usize,
     /// Refinements of the flow per pair.
     pub flow_iterations: usize,
     /// Smallest depth the depth network can say, in the free unit of monocular training. Half the disparity range is twice
@@ -95,6 +97,7 @@ impl Default for NetsConfig {
             flow_weights: FirstWeights::Embedded,
             pose_weights: FirstWeights::Embedded,
             pose_iterations: 2,
+            pose_test_iterations: 4,
             flow_iterations: 4,
             rotation_scale: 10.0,
             tangential_scale: 3.0,
@@ -110,8 +113,11 @@ impl NetsConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         let iterations = self.flow_iterations;
         require((1..=64).contains(&iterations), "nets.flow_iterations", iterations, "must be 1 to 64")?;
-        let looks = self.pose_iterations;
-        require((1..=8).contains(&looks), "nets.pose_iterations", looks, "must be 1 to 8")?;
+        for (key, looks) in
+            [("nets.pose_iterations", self.pose_iterations), ("nets.pose_test_iterations", self.pose_test_iterations)]
+        {
+            require((1..=8).contains(&looks), key, looks, "must be 1 to 8")?;
+        }
         let embedded = self.flow_weights == FirstWeights::Embedded && self.flow != FlowNetKind::NanoRaftD4;
         let advice =
             "only those of nano_raft_d4 are part of the program; use \"random\", or a file that 'dimode pretrain flow' wrote";
