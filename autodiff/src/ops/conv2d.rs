@@ -13,6 +13,7 @@ use std::sync::Arc;
 use super::conv::direct::{Direct, OutputBlock, blocks, pack_weights, padded_len};
 use super::conv::layout::Layout;
 use super::conv::weight_grad::{OUTPUTS, WeightGrad};
+use super::conv::weight_outer::{STRIP, WeightOuter};
 use crate::{Pool, Scalar, Shape, Tensor, Var, par};
 
 /// What lies outside the image.
@@ -267,10 +268,57 @@ fn scatter_phase<T: Scalar>(l: &Layout, phase: usize, flat: &[T], pitch: usize, 
     }
 }
 
-/// Adds the gradient of the weights; a unit of work owns four output channels and up to 16 input channels.
+/// Output channels from which on strips of them are worth their copy.
+const FEW_OUTPUTS: usize = 4;
+
+/// Adds the gradient of the weights.
 fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], pool: &Arc<Pool<T>>) {
-    const CHANNELS: usize = 16;
     let packed = l.pack_input(x, pool);
+    if l.cout > FEW_OUTPUTS {
+        for group in 0..l.groups {
+            weight_by_strips(l, &packed, g, group, dw, pool);
+        }
+    } else {
+        weight_by_planes(l, &packed, g, dw, pool);
+    }
+    pool.give(packed);
+}
+
+/// Many output channels: a unit of work owns a strip of them and a run of (input channel, tap) pairs.
+fn weight_by_strips<T: Scalar>(l: &Layout, packed: &[T], g: &[T], group: usize, dw: &mut [T], pool: &Arc<Pool<T>>) {
+    /// Products of a unit, about.
+    const WORK: usize = 1 << 20;
+    let strips = l.pack_strips(g, group, pool);
+    let positions = l.output.n() * l.output.plane();
+    let offsets = l.tap_offsets();
+    let pairs: Vec<usize> = (0..l.cin).flat_map(|c| offsets.iter().map(move |t| c * l.channel_len() + t)).collect();
+    let run = (WORK / (positions * STRIP)).max(1).next_multiple_of(12).min(pairs.len());
+    let runs = pairs.len().div_ceil(run);
+    let sums = par::map_indices(l.cout.div_ceil(STRIP) * runs, |unit| {
+        T::run_weight_outer(WeightOuter {
+            g: &strips[unit / runs * positions * STRIP..][..positions * STRIP],
+            x: &packed[group * l.cin * l.channel_len()..],
+            x_image: l.input.c() * l.channel_len(),
+            x_row: l.phase_w,
+            pairs: &pairs[unit % runs * run..pairs.len().min((unit % runs + 1) * run)],
+            size: [l.output.n(), l.output.h(), l.output.w()],
+        })
+    });
+    let per_output = l.cin * l.taps;
+    for (unit, sums) in sums.iter().enumerate() {
+        let (first, from) = (unit / runs * STRIP, unit % runs * run);
+        for (k, sums) in sums.chunks_exact(STRIP).enumerate() {
+            for (o, &s) in sums[..STRIP.min(l.cout - first)].iter().enumerate() {
+                dw[(group * l.cout + first + o) * per_output + from + k] += T::from_f64(s);
+            }
+        }
+    }
+    pool.give(strips);
+}
+
+/// Few output channels: a unit of work owns four of them and up to 16 input channels.
+fn weight_by_planes<T: Scalar>(l: &Layout, packed: &[T], g: &[T], dw: &mut [T], pool: &Arc<Pool<T>>) {
+    const CHANNELS: usize = 16;
     let pitch = padded_len(l.flat_len());
     let flat = l.pack_flat_grad(g, pitch, pool);
     let offsets = l.tap_offsets();
@@ -307,7 +355,6 @@ fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], pool: 
             }
         }
     }
-    pool.give(packed);
     pool.give(flat);
 }
 
@@ -389,6 +436,9 @@ mod tests {
             (Shape::new(1, 2, 5, 6), Shape::new(2, 2, 1, 5), c((1, 1), (0, 2), (1, 1), 1, Zero)),
             (Shape::new(1, 2, 9, 8), Shape::new(2, 2, 3, 2), c((3, 2), (2, 1), (2, 3), 1, Reflect)),
             (Shape::new(1, 1, 1, 9), Shape::new(1, 1, 1, 3), c((1, 1), (0, 1), (1, 1), 1, Zero)),
+            (Shape::new(2, 2, 3, 6), Shape::new(17, 2, 3, 3), Conv2d::new(1, 1)),
+            (Shape::new(1, 4, 4, 5), Shape::new(12, 2, 1, 2), c((1, 1), (0, 1), (1, 1), 2, Reflect)),
+            (Shape::new(1, 1, 2, 11), Shape::new(5, 1, 1, 4), c((1, 3), (0, 2), (1, 1), 1, Replicate)),
         ]
     }
 
@@ -415,6 +465,30 @@ mod tests {
             let b = random(90, Shape::new(1, ws.n(), 1, 1), -1.0, 1.0);
             let report = gradcheck(&[x, w, b], |_, v| weighted_sum(v[0].conv2d(v[1], Some(v[2]), conv), 3), GradCheck::default());
             assert!(report.is_ok(), "case {i}: {report}");
+        }
+    }
+
+    /// Registers of `f32` hold more channels than those of `f64`, and large images are cut into tiles.
+    #[test]
+    fn gradients_in_single_precision_are_those_in_double_precision() {
+        let shapes =
+            [([2, 5, 70, 90], [18, 5, 7, 7], 2, 3), ([3, 7, 4, 6], [33, 7, 3, 3], 1, 1), ([2, 6, 9, 9], [3, 6, 3, 3], 1, 1)];
+        fn gradients<T: Scalar>(x: &Tensor<f64>, w: &Tensor<f64>, conv: Conv2d) -> [Tensor<f64>; 2] {
+            let tape = Tape::<T>::new();
+            let (x, w) = (tape.leaf(x.cast()), tape.leaf(w.cast()));
+            let grads = tape.backward(weighted_sum(x.conv2d(w, None, conv), 4));
+            [grads.wrt(x).cast(), grads.wrt(w).cast()]
+        }
+        for (xs, ws, stride, padding) in shapes {
+            let (x, w) = (random::<f32>(1, Shape(xs), -1.0, 1.0).cast(), random::<f32>(2, Shape(ws), -1.0, 1.0).cast());
+            let conv = Conv2d::new(stride, padding);
+            let (single, double) = (gradients::<f32>(&x, &w, conv), gradients::<f64>(&x, &w, conv));
+            for (single, double) in single.iter().zip(&double) {
+                let size = double.data().iter().fold(0.0f64, |m, g| m.max(g.abs()));
+                for (a, b) in single.data().iter().zip(double.data()) {
+                    assert!((a - b).abs() < 1e-5 * size, "{ws:?}: {a} against {b}");
+                }
+            }
         }
     }
 

@@ -3,6 +3,7 @@
 //! With stride `s` the padded input is split into `s x s` phase planes (every `s`-th row and column), so that each kernel tap
 //! reads one phase plane at a constant offset: every convolution becomes a stride-1 sum of shifted planes.
 
+use super::weight_outer::STRIP;
 use crate::{Conv2d, PadMode, Pool, Scalar, Shape, par};
 
 /// Elements behind the last plane that a kernel may read (never use).
@@ -135,8 +136,18 @@ impl Layout {
                 row[i] = self.cols.get(i).copied().flatten().map_or(T::ZERO, |c| x[c]);
             }
         } else {
-            for (i, o) in row.iter_mut().enumerate() {
-                *o = self.cols.get(i * self.stride.1 + phase).copied().flatten().map_or(T::ZERO, |c| x[c]);
+            // Where the row reads the image itself, between what padding made up.
+            let step = self.stride.1;
+            let first = pad.saturating_sub(phase).div_ceil(step).min(row.len());
+            let from = first * step + phase - pad;
+            let last = (first + x.len().saturating_sub(from).div_ceil(step)).min(row.len());
+            let inner = row[first..last].iter_mut();
+            match step {
+                2 => inner.zip(x[from.min(x.len())..].chunks(2)).for_each(|(o, x)| *o = x[0]),
+                _ => inner.zip(x[from.min(x.len())..].chunks(step)).for_each(|(o, x)| *o = x[0]),
+            }
+            for i in (0..first).chain(last..row.len()) {
+                row[i] = self.cols.get(i * step + phase).copied().flatten().map_or(T::ZERO, |c| x[c]);
             }
         }
     }
@@ -152,6 +163,29 @@ impl Layout {
                 out.fill(T::ZERO);
                 for (y, row) in plane.chunks_exact(wo).enumerate() {
                     out[y * self.phase_w..][..wo].copy_from_slice(row);
+                }
+            }
+        });
+        packed
+    }
+
+    /// Output gradients of one group with strips of channels side by side: `[strip][n][row][column][STRIP]`, zeros beyond the
+    /// last channel.
+    pub fn pack_strips<T: Scalar>(&self, g: &[T], group: usize, pool: &Pool<T>) -> Vec<T> {
+        let plane = self.output.plane();
+        let images = self.output.n();
+        let mut packed = pool.take(self.cout.div_ceil(STRIP) * images * plane * STRIP);
+        par::for_each_chunk(&mut packed, plane * STRIP, |chunk, out| {
+            let (strip, n) = (chunk / images, chunk % images);
+            let first = n * self.output.c() + group * self.cout + strip * STRIP;
+            let width = STRIP.min(self.cout - strip * STRIP);
+            if width < STRIP {
+                out.fill(T::ZERO);
+            }
+            let g = &g[first * plane..][..width * plane];
+            for (o, g) in g.chunks_exact(plane).enumerate() {
+                for (out, &g) in out.chunks_exact_mut(STRIP).zip(g) {
+                    out[o] = g;
                 }
             }
         });

@@ -3,6 +3,7 @@
 pub mod direct;
 pub(super) mod layout;
 pub mod weight_grad;
+pub mod weight_outer;
 
 /// Element types for which the kernels are compiled, once, in this crate: callers that are generic over the element type do not
 /// compile them again.
@@ -13,6 +14,9 @@ pub trait ConvScalar: Sized {
     /// Runs a weight gradient, `[output][pair]`.
     #[doc(hidden)]
     fn run_weight_grad(task: weight_grad::WeightGrad<'_, Self>) -> Vec<f64>;
+    /// Runs a weight gradient of a strip of outputs, `[pair][output]`.
+    #[doc(hidden)]
+    fn run_weight_outer(task: weight_outer::WeightOuter<'_, Self>) -> Vec<f64>;
 }
 
 macro_rules! conv_scalar {
@@ -22,6 +26,9 @@ macro_rules! conv_scalar {
                 task.run();
             }
             fn run_weight_grad(task: weight_grad::WeightGrad<'_, Self>) -> Vec<f64> {
+                task.run()
+            }
+            fn run_weight_outer(task: weight_outer::WeightOuter<'_, Self>) -> Vec<f64> {
                 task.run()
             }
         }
