@@ -104,3 +104,10 @@ pub fn join(parts: &[&Tensor<f32>]) -> Tensor<f32> {
     shape.0[0] = parts.iter().map(|p| p.shape().n()).sum();
     Tensor::from_vec(shape, parts.iter().flat_map(|p| p.data().iter().copied()).collect())
 }
+
+/// The first `count` samples.
+pub fn first_samples(of: &Tensor<f32>, count: usize) -> Tensor<f32> {
+    let mut shape = of.shape();
+    shape.0[0] = count;
+    Tensor::from_vec(shape, of.data()[..shape.len()].to_vec())
+}

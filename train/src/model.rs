@@ -40,10 +40,6 @@ pub struct Model {
     pub range: DepthRange,
     /// Factors on the pose network's rotation vector, tangential and radial translation.
     pub pose_scale: [f64; 3],
-    /// Looks of the pose network at a pair in training.
-    pub pose_iterations: usize,
-    /// Looks where motion is predicted.
-    pub pose_test_iterations: usize,
     /// Refinements of the flow network.
     pub flow_iterations: usize,
 }
@@ -68,8 +64,6 @@ impl Model {
             flow: FlowNet::new(nets.flow.config()),
             range: DepthRange { min: nets.min_depth, max: nets.max_depth },
             pose_scale: [nets.rotation_scale, nets.tangential_scale, nets.radial_scale],
-            pose_iterations: nets.pose_iterations,
-            pose_test_iterations: nets.pose_test_iterations,
             flow_iterations: nets.flow_iterations,
         }
     }

@@ -74,10 +74,12 @@ pub struct NetsConfig {
     /// Factor on the radial translation (z) that the pose network says; 1 is the reference. Large: depth learns from radial
     /// flow only once z is of the right size.
     pub radial_scale: f64,
-    /// Looks of the pose network at a pair in training. From the second on it sees the source warped by the depth and the motion said so
-    /// far, and says what is left; 1 is the reference.
+    /// Looks of the pose network at a pair in training. From the second on it sees the source warped by the depth and the motion
+    /// said so far, and says what is left; 1 is the reference.
     pub pose_iterations: usize,
-    /// Looks where motion is predicted: more than in training cost little and see smaller remains, as with RAFT's refinements.
+    /// Up to this many looks without a gradient come before them; how many is drawn for each step. 0 is the reference.
+    pub pose_detached_iterations: usize,
+    /// Looks where motion is predicted; 1 is the reference.
     pub pose_test_iterations: usize,
     /// Refinements of the flow per pair.
     pub flow_iterations: usize,
@@ -97,7 +99,8 @@ impl Default for NetsConfig {
             flow_weights: FirstWeights::Embedded,
             pose_weights: FirstWeights::Embedded,
             pose_iterations: 2,
-            pose_test_iterations: 4,
+            pose_detached_iterations: 2,
+            pose_test_iterations: 6,
             flow_iterations: 4,
             rotation_scale: 10.0,
             tangential_scale: 3.0,
@@ -116,8 +119,10 @@ impl NetsConfig {
         for (key, looks) in
             [("nets.pose_iterations", self.pose_iterations), ("nets.pose_test_iterations", self.pose_test_iterations)]
         {
-            require((1..=8).contains(&looks), key, looks, "must be 1 to 8")?;
+            require((1..=16).contains(&looks), key, looks, "must be 1 to 16")?;
         }
+        let detached = self.pose_detached_iterations;
+        require(detached <= 16, "nets.pose_detached_iterations", detached, "must be 0 to 16")?;
         let embedded = self.flow_weights == FirstWeights::Embedded && self.flow != FlowNetKind::NanoRaftD4;
         let advice =
             "only those of nano_raft_d4 are part of the program; use \"random\", or a file that 'dimode pretrain flow' wrote";

@@ -1,14 +1,18 @@
 //! What follows the last step: evaluation on frames that were not trained on, pictures, trajectories, the report.
 
+use std::path::PathBuf;
+use std::sync::Arc;
+
 use anyhow::Result;
 use dimode_autodiff::{Tape, Tensor};
 use dimode_geometry::{Se3, Trajectory, taped};
 
+use super::frames::for_each_frame;
 use super::{RunFolder, TrainRequest, TrainedModel, held_out_worlds};
-use crate::data::{Dataset, FlowMap, Frame, Map};
+use crate::data::{DataError, Dataset, FlowMap, Frame, Map};
 use crate::eval::{
-    Alignment, DepthProtocol, DepthTableBuilder, Evaluation, MeanDisparity, MeanMotion, MotionTableBuilder, OdometryProtocol,
-    TrivialDepth, align_trajectory, follow,
+    Alignment, DepthProtocol, DepthTable, DepthTableBuilder, Evaluation, MeanDisparity, MeanMotion, MotionTable,
+    MotionTableBuilder, OdometryProtocol, TrivialDepth, align_trajectory, follow,
 };
 use crate::model::stack;
 use crate::progress::Progress;
@@ -21,8 +25,6 @@ use crate::schedule::Schedule;
 
 /// Training sequences from which the trivial rows take their means.
 const MEAN_SEQUENCES: usize = 32;
-/// Frames that are predicted at a time.
-const CHUNK: usize = 16;
 /// Sequences of which the report shows a frame and a path.
 const SHOWN: usize = 4;
 
@@ -48,124 +50,144 @@ pub fn conclude(
         None => Some(held_out_worlds(&request.config)?),
     };
     let frames: &dyn Dataset = held_out.as_ref().map_or(training, |d| d);
-    let sequences = predict(trained, frames, progress)?;
-    let evaluation = evaluate(request, training, frames, &sequences, held_out.is_some())?;
-    write_outputs(folder, &sequences)?;
+    let means = means(training)?;
+    let (sequences, depth) = predict(request, folder, trained, frames, means.0, progress)?;
+    let motion = motion_table(&sequences, means.1)?;
+    let count: usize = sequences.iter().map(|s| s.frames).sum();
+    let kind = if held_out.is_some() { "not trained on" } else { "the frames trained on, without their truth" };
+    let evaluation = Evaluation {
+        title: request.out.display().to_string(),
+        data: format!("{}: {} sequences, {count} frames, {kind}", frames.name(), sequences.len()),
+        depth,
+        motion,
+    };
     let report = report(request, folder, trained, &sequences, &evaluation)?;
     write_report(&folder.report(), &report)?;
     write_json(&folder.metrics(), &evaluation)?;
     Ok(Concluded { evaluation })
 }
 
-/// A sequence with everything predicted for it.
+/// What is kept of a sequence.
 struct Predicted {
     name: String,
-    frames: Vec<std::sync::Arc<Frame>>,
-    depth: Vec<Map>,
+    frames: usize,
     /// `next_from_this` between neighbours.
     steps: Vec<Se3>,
     truth: Option<Trajectory>,
+    shown: Option<Shown>,
 }
 
-fn predict(trained: &TrainedModel, dataset: &dyn Dataset, progress: &dyn Progress) -> Result<Vec<Predicted>> {
-    progress.start(dataset.sequence_count() as u64, "evaluation");
-    let sequences = (0..dataset.sequence_count()).map(|s| {
-        let indices: Vec<usize> = (0..dataset.sequence_len(s)).collect();
-        let loaded = dimode_autodiff::par::map_indices(indices.len(), |f| dataset.frame(s, f));
-        let frames = loaded.into_iter().collect::<Result<Vec<_>, _>>()?;
-        let views: Vec<&Frame> = frames.iter().map(|f| f.as_ref()).collect();
-        let depth = views.chunks(CHUNK).flat_map(|part| trained.depth(part)).collect();
-        let last = views.len() - 1;
-        let steps = (0..last).step_by(CHUNK).flat_map(|at| trained.motions(&views[at..=(at + CHUNK).min(last)])).collect();
-        let poses: Option<Vec<Se3>> = frames.iter().map(|f| f.world_from_camera).collect();
-        progress.step(s as u64 + 1, "");
-        Ok(Predicted { name: dataset.sequence_name(s), frames, depth, steps, truth: poses.map(Trajectory::from_poses) })
-    });
-    let sequences = sequences.collect();
-    progress.finish();
-    sequences
+/// The frame of a sequence that the report shows, and the one after it.
+struct Shown {
+    frame: Arc<Frame>,
+    next: Arc<Frame>,
+    depth: Map,
+    /// `next_from_frame`.
+    step: Se3,
 }
 
-fn evaluate(
+/// Predicts every sequence, scores its depth where the truth is known, and writes depth pictures (16 bit, 256 steps a metre)
+/// and trajectories (KITTI and TUM).
+fn predict(
     request: &TrainRequest,
-    training: &dyn Dataset,
-    evaluated: &dyn Dataset,
-    sequences: &[Predicted],
-    held_out: bool,
-) -> Result<Evaluation> {
+    folder: &RunFolder,
+    trained: &TrainedModel,
+    dataset: &dyn Dataset,
+    mean_disparity: Option<Map>,
+    progress: &dyn Progress,
+) -> Result<(Vec<Predicted>, Option<DepthTable>)> {
     let settings = &request.config.eval;
     let protocol = DepthProtocol { min_depth: settings.min_depth, max_depth: settings.max_depth, ..DepthProtocol::default() };
-    let means = means(training)?;
     let mut trivial = vec![TrivialDepth::Constant(1.0)];
-    trivial.extend(means.0.map(TrivialDepth::MeanDisparity));
-    let mut depth = DepthTableBuilder::new("this run", protocol, trivial)?;
+    trivial.extend(mean_disparity.map(TrivialDepth::MeanDisparity));
+    let mut table = DepthTableBuilder::new("this run", protocol, trivial)?;
+    let mut with_truth = false;
+    let trajectories = new_folder(folder.path().join("trajectories"))?;
+    let all = 0..dataset.sequence_count();
+    progress.start(all.clone().map(|s| dataset.sequence_len(s) as u64).sum(), "evaluation");
+    let (mut sequences, mut done) = (Vec::new(), 0);
+    for sequence in all {
+        let (name, len) = (dataset.sequence_name(sequence), dataset.sequence_len(sequence));
+        let place = new_folder(folder.path().join("depth").join(&name))?;
+        let middle = (len / 2).min(len.saturating_sub(2));
+        let (mut poses, mut frame_shown, mut next_shown) = (Vec::with_capacity(len), None, None);
+        let steps = trained.walk(dataset, sequence, &mut |index, frame, depth| {
+            if let Some(truth) = &frame.depth {
+                table.add(&depth, truth, None)?;
+                with_truth = true;
+            }
+            write_depth_png16(&place.join(format!("{}.png", frame.name)), &in_metres(&depth, frame.depth.as_ref()))?;
+            poses.push(frame.world_from_camera);
+            if index == middle {
+                frame_shown = Some((frame.clone(), depth));
+            } else if index == middle + 1 {
+                next_shown = Some(frame.clone());
+            }
+            done += 1;
+            progress.step(done, "");
+            Ok(())
+        })?;
+        let truth = poses.into_iter().collect::<Option<Vec<Se3>>>().map(Trajectory::from_poses);
+        write_trajectory(&trajectories, &name, &path_like(&steps, truth.as_ref())?)?;
+        let shown = match (sequence < SHOWN, frame_shown, next_shown) {
+            (true, Some((frame, depth)), Some(next)) => Some(Shown { frame, next, depth, step: steps[middle] }),
+            _ => None,
+        };
+        sequences.push(Predicted { name, frames: len, steps, truth, shown });
+    }
+    progress.finish();
+    let table = if with_truth { Some(table.finish()?) } else { None };
+    Ok((sequences, table))
+}
+
+fn new_folder(path: PathBuf) -> Result<PathBuf, DataError> {
+    std::fs::create_dir_all(&path).map_err(|e| DataError::write(&path, e))?;
+    Ok(path)
+}
+
+/// The predicted path, from where the true one begins if that is known.
+fn path_like(steps: &[Se3], truth: Option<&Trajectory>) -> Result<Trajectory> {
+    Ok(match truth {
+        Some(truth) => follow(steps, truth)?,
+        None => Trajectory::accumulate(steps),
+    })
+}
+
+fn motion_table(sequences: &[Predicted], mean: Option<MeanMotion>) -> Result<Option<MotionTable>> {
     // The shortest sub-sequence of the usual protocol is 100 m.
     let long = sequences.iter().flat_map(|s| &s.truth).any(|t| t.path_length() > 100.0);
     let odometry = if long { OdometryProtocol::default() } else { OdometryProtocol::small_world() };
-    let mut motion = MotionTableBuilder::new("this run", odometry, means.1);
-    let (mut with_depth, mut with_truth) = (false, false);
+    let mut table = MotionTableBuilder::new("this run", odometry, mean);
+    let mut with_truth = false;
     for sequence in sequences {
-        for (frame, predicted) in sequence.frames.iter().zip(&sequence.depth) {
-            if let Some(truth) = &frame.depth {
-                depth.add(predicted, truth, None)?;
-                with_depth = true;
-            }
-        }
         if let Some(truth) = &sequence.truth {
-            motion.add_sequence(&sequence.name, &sequence.steps, truth)?;
+            table.add_sequence(&sequence.name, &sequence.steps, truth)?;
             with_truth = true;
         }
     }
-    let frames: usize = sequences.iter().map(|s| s.frames.len()).sum();
-    let kind = if held_out { "not trained on" } else { "the frames trained on, without their truth" };
-    Ok(Evaluation {
-        title: request.out.display().to_string(),
-        data: format!("{}: {} sequences, {frames} frames, {kind}", evaluated.name(), sequences.len()),
-        depth: if with_depth { Some(depth.finish()?) } else { None },
-        motion: if with_truth { Some(motion.finish()?) } else { None },
-    })
+    Ok(if with_truth { Some(table.finish()?) } else { None })
 }
 
 /// Mean disparity map and mean motion of the training data, as far as its truth is known.
 pub(super) fn means(training: &dyn Dataset) -> Result<(Option<Map>, Option<MeanMotion>)> {
     let (mut disparity, mut motions, mut maps) = (MeanDisparity::new(), Vec::new(), 0);
-    for s in 0..training.sequence_count().min(MEAN_SEQUENCES) {
-        let frames = dimode_autodiff::par::map_indices(training.sequence_len(s), |f| training.frame(s, f));
-        let frames = frames.into_iter().collect::<Result<Vec<_>, _>>()?;
-        for frame in &frames {
+    for sequence in 0..training.sequence_count().min(MEAN_SEQUENCES) {
+        let mut before = None;
+        for_each_frame(training, sequence, &mut |frame| {
             if let Some(depth) = &frame.depth {
                 disparity.add(depth)?;
                 maps += 1;
             }
-        }
-        for pair in frames.windows(2) {
-            if let (Some(a), Some(b)) = (pair[0].world_from_camera, pair[1].world_from_camera) {
-                motions.push(b.inverse().compose(&a));
+            if let (Some(a), Some(b)) = (before, frame.world_from_camera) {
+                motions.push(Se3::inverse(&b).compose(&a));
             }
-        }
+            before = frame.world_from_camera;
+            Ok(())
+        })?;
     }
     let disparity = if maps > 0 { Some(disparity.finish()?) } else { None };
     let motion = if motions.is_empty() { None } else { Some(MeanMotion::fit(&motions)?) };
     Ok((disparity, motion))
-}
-
-/// Trajectories of every sequence (KITTI and TUM) and the depth of its frames as 16-bit pictures (256 steps a metre).
-fn write_outputs(folder: &RunFolder, sequences: &[Predicted]) -> Result<()> {
-    let trajectories = folder.path().join("trajectories");
-    std::fs::create_dir_all(&trajectories).map_err(|e| crate::data::DataError::write(&trajectories, e))?;
-    for sequence in sequences {
-        let trajectory = match &sequence.truth {
-            Some(truth) => follow(&sequence.steps, truth)?,
-            None => Trajectory::accumulate(&sequence.steps),
-        };
-        write_trajectory(&trajectories, &sequence.name, &trajectory)?;
-        for (frame, depth) in sequence.frames.iter().zip(&sequence.depth) {
-            let place = folder.path().join("depth").join(&sequence.name);
-            std::fs::create_dir_all(&place).map_err(|e| crate::data::DataError::write(&place, e))?;
-            write_depth_png16(&place.join(format!("{}.png", frame.name)), &in_metres(depth, frame.depth.as_ref()))?;
-        }
-    }
-    Ok(())
 }
 
 /// Predicted depth at the scale of the truth where it is known, else with median 10.
@@ -216,7 +238,7 @@ fn report(
         facts,
         stage_marks,
         curves: curves(&records),
-        samples: sequences.iter().take(SHOWN).filter_map(|s| picture(trained, s)).collect(),
+        samples: sequences.iter().filter_map(|s| s.shown.as_ref().map(|shown| picture(trained, &s.name, shown))).collect(),
         trajectories: sequences.iter().take(SHOWN).map(path).collect::<Result<_>>()?,
         evaluation: Some(evaluation.clone()),
         notes: vec![
@@ -228,13 +250,11 @@ fn report(
 }
 
 fn path(sequence: &Predicted) -> Result<TrajectoryPlot> {
-    let Some(truth) = &sequence.truth else {
-        return Ok(TrajectoryPlot::predicted(&sequence.name, &Trajectory::accumulate(&sequence.steps)));
-    };
-    let predicted = follow(&sequence.steps, truth)?;
-    Ok(match align_trajectory(&predicted, truth, Alignment::Sim3) {
-        Ok(aligned) => TrajectoryPlot::aligned(&sequence.name, Alignment::Sim3, &aligned),
-        Err(_) => TrajectoryPlot::predicted(&sequence.name, &predicted),
+    let predicted = path_like(&sequence.steps, sequence.truth.as_ref())?;
+    let aligned = sequence.truth.as_ref().map(|truth| align_trajectory(&predicted, truth, Alignment::Sim3));
+    Ok(match aligned {
+        Some(Ok(aligned)) => TrajectoryPlot::aligned(&sequence.name, Alignment::Sim3, &aligned),
+        None | Some(Err(_)) => TrajectoryPlot::predicted(&sequence.name, &predicted),
     })
 }
 
@@ -260,14 +280,12 @@ fn curves(records: &[runlog::StepRecord]) -> Vec<Curve> {
     curves
 }
 
-/// The middle frame of a sequence with depth, optical and rigid flow to the next frame.
-fn picture(trained: &TrainedModel, sequence: &Predicted) -> Option<SamplePicture> {
-    let at = (sequence.frames.len() / 2).min(sequence.steps.len().checked_sub(1)?);
-    let (frame, next) = (&sequence.frames[at], &sequence.frames[at + 1]);
+/// A frame with depth, optical and rigid flow to the next frame.
+fn picture(trained: &TrainedModel, sequence: &str, shown: &Shown) -> SamplePicture {
+    let Shown { frame, next, depth, step } = shown;
     let flow = trained.model.predict_flow(&trained.weights, &stack([&frame.image]), &stack([&next.image]));
-    let depth = &sequence.depth[at];
     let tape = Tape::<f32>::new();
-    let (rotation, translation) = taped::pose::pose_tensors(&[sequence.steps[at]]);
+    let (rotation, translation) = taped::pose::pose_tensors(&[*step]);
     let shape = dimode_autodiff::Shape::new(1, 1, depth.height, depth.width);
     let rigid = taped::rigid_flow(
         tape.constant(Tensor::from_vec(shape, depth.data.clone())),
@@ -282,12 +300,12 @@ fn picture(trained: &TrainedModel, sequence: &Predicted) -> Option<SamplePicture
         u: t.plane(0, 0).to_vec(),
         v: t.plane(0, 1).to_vec(),
     };
-    Some(SamplePicture {
-        caption: format!("sequence {}, frame {}", sequence.name, frame.name),
+    SamplePicture {
+        caption: format!("sequence {sequence}, frame {}", frame.name),
         image: frame.image.clone(),
         predicted_depth: depth.clone(),
         true_depth: frame.depth.clone(),
         optical_flow: Some(map(&flow)),
         rigid_flow: Some(map(&rigid)),
-    })
+    }
 }

@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use anyhow::Result;
+use dimode_autodiff::par;
 
 use crate::config::{Config, DataConfig, FirstWeights};
 use crate::data::synthetic::{Split, SyntheticConfig, SyntheticDataset};
-use crate::data::{DataError, Dataset, LoadOptions, open};
+use crate::data::{DataError, Dataset, Frame, LoadOptions, open};
 
 /// A folder with at most this many frames is decoded as a whole before a run begins.
 const CHECKED_FRAMES: usize = 400;
@@ -40,6 +41,23 @@ pub fn training_frames(config: &Config) -> Result<Box<dyn Dataset>, DataError> {
 /// **Errors** [`DataError::Option`].
 pub fn held_out_worlds(config: &Config) -> Result<SyntheticDataset, DataError> {
     worlds(config, Split::HeldOut, config.eval.worlds, config.eval.frames)
+}
+
+/// Frames of a sequence that are loaded at a time.
+const CHUNK: usize = 16;
+
+/// Shows the frames of a sequence in order, with a few in memory at a time.
+///
+/// **Errors** when a frame cannot be read, and those of `visit`.
+pub(super) fn for_each_frame(dataset: &dyn Dataset, sequence: usize, visit: &mut dyn FnMut(&Frame) -> Result<()>) -> Result<()> {
+    let len = dataset.sequence_len(sequence);
+    for start in (0..len).step_by(CHUNK) {
+        let frames = par::map_indices(CHUNK.min(len - start), |k| dataset.frame(sequence, start + k));
+        for frame in frames {
+            visit(&*frame?)?;
+        }
+    }
+    Ok(())
 }
 
 fn worlds(config: &Config, split: Split, sequences: usize, frames: usize) -> Result<SyntheticDataset, DataError> {

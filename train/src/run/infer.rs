@@ -2,20 +2,16 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use anyhow::Result;
 use dimode_geometry::Trajectory;
 use serde::Serialize;
 
 use super::{TrainedModel, open_frames};
-use crate::data::{DataError, Dataset, Frame, write_atomic, write_depth_png};
+use crate::data::{DataError, Dataset, Map, write_atomic, write_depth_png};
 use crate::progress::Progress;
 use crate::report::picture::Picture;
 use crate::report::write_trajectory;
-
-/// Frames that go through the networks at a time.
-const CHUNK: usize = 8;
 
 /// What to look at and where to put the result.
 #[derive(Clone, Debug)]
@@ -91,8 +87,8 @@ fn write_all(model: &TrainedModel, dataset: &dyn Dataset, root: &Path, progress:
     for sequence in 0..dataset.sequence_count() {
         let name = dataset.sequence_name(sequence);
         let folder = root.join(&name);
-        let trajectory = write_sequence(model, dataset, sequence, &folder, &mut |frames| {
-            done += frames;
+        let trajectory = write_sequence(model, dataset, sequence, &folder, &mut || {
+            done += 1;
             progress.step(done as u64, &name);
         })?;
         let (frames, path_length) = (trajectory.len(), trajectory.path_length());
@@ -107,24 +103,17 @@ fn write_sequence(
     dataset: &dyn Dataset,
     sequence: usize,
     folder: &Path,
-    done: &mut dyn FnMut(usize),
+    done: &mut dyn FnMut(),
 ) -> Result<Trajectory> {
     for name in ["depth", "depth_colour"] {
         let folder = folder.join(name);
         fs::create_dir_all(&folder).map_err(|error| DataError::write(&folder, error))?;
     }
-    let len = dataset.sequence_len(sequence);
-    let mut steps = Vec::with_capacity(len);
-    for start in (0..len).step_by(CHUNK) {
-        // One frame more than the depth needs: the motion into the next chunk.
-        let end = (start + CHUNK + 1).min(len);
-        let frames: Vec<Arc<Frame>> = (start..end).map(|f| dataset.frame(sequence, f)).collect::<Result<_, _>>()?;
-        let frames: Vec<&Frame> = frames.iter().map(Arc::as_ref).collect();
-        steps.extend(model.motions(&frames));
-        let own = &frames[..CHUNK.min(frames.len())];
-        write_depth(model, own, folder)?;
-        done(own.len());
-    }
+    let steps = model.walk(dataset, sequence, &mut |_, frame, depth| {
+        write_depth(model, &frame.name, &depth, folder)?;
+        done();
+        Ok(())
+    })?;
     let mut trajectory = Trajectory::accumulate(&steps);
     if let Some(times) = dataset.times(sequence) {
         for (pose, &time) in trajectory.poses.iter_mut().zip(times) {
@@ -135,16 +124,12 @@ fn write_sequence(
     Ok(trajectory)
 }
 
-fn write_depth(model: &TrainedModel, frames: &[&Frame], folder: &Path) -> Result<(), DataError> {
+fn write_depth(model: &TrainedModel, name: &str, depth: &Map, folder: &Path) -> Result<(), DataError> {
     let range = model.model.range;
-    for (frame, depth) in frames.iter().zip(model.depth(frames)) {
-        let name = &frame.name;
-        write_depth_png(&folder.join("depth").join(format!("{name}.png")), &depth)?;
-        let (near, far) = spread(&depth.data).unwrap_or((range.min, range.max));
-        let picture = Picture::from_depth(&depth, 1.0, near, far);
-        write_atomic(&folder.join("depth_colour").join(format!("{name}.png")), &picture.to_png())?;
-    }
-    Ok(())
+    write_depth_png(&folder.join("depth").join(format!("{name}.png")), depth)?;
+    let (near, far) = spread(&depth.data).unwrap_or((range.min, range.max));
+    let picture = Picture::from_depth(depth, 1.0, near, far);
+    write_atomic(&folder.join("depth_colour").join(format!("{name}.png")), &picture.to_png())
 }
 
 /// The 2 % and 98 % points, so that a few far pixels do not darken the picture.
