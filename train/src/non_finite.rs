@@ -3,24 +3,27 @@
 use crate::batch::Batch;
 
 const ADVICE: &str =
-    "nothing of this step was kept; lower train.learning_rate, or choose a robust form of this term in [loss.geometric]";
+    "everything before this step is saved; lower train.learning_rate, or choose a robust form of this term in [loss.geometric]";
 
 /// A step that could not be taken; weights and optimiser are as before it.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("step {step}: the {what} of {term} is not finite ({}); {advice}", place(.sample.as_deref()), advice = ADVICE)]
+#[error("step {step}: the {what} of {term} is not finite ({}); {advice}", place(.samples), advice = ADVICE)]
 pub struct NonFinite {
-    /// Step, from 0.
+    /// Step, counted from 1 as in the log.
     pub step: u64,
     /// `value` or `gradient`.
     pub what: &'static str,
     /// Name of the loss term.
     pub term: String,
-    /// Name of the first sample where it can be seen.
-    pub sample: Option<String>,
+    /// Name of the first sample where it can be seen; all samples of the batch when it cannot be told.
+    pub samples: Vec<String>,
 }
 
-fn place(sample: Option<&str>) -> String {
-    sample.map_or_else(|| "in no single sample of the batch".to_owned(), |name| format!("first in sample {name}"))
+fn place(samples: &[String]) -> String {
+    match samples {
+        [name] => format!("first in sample {name}"),
+        names => format!("batch of samples {}", names.join(", ")),
+    }
 }
 
 /// A term that is not finite, before step and names are known.
@@ -35,9 +38,10 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// The error with step and sample name.
+    /// The error with sample names; `step` counts from 0.
     pub(crate) fn at(self, step: u64, batch: &Batch) -> NonFinite {
-        NonFinite { step, what: self.what, term: self.term, sample: self.sample.map(|i| batch.names[i].clone()) }
+        let samples = self.sample.map_or_else(|| batch.names.clone(), |i| vec![batch.names[i].clone()]);
+        NonFinite { step: step + 1, what: self.what, term: self.term, samples }
     }
 }
 
@@ -47,10 +51,11 @@ mod tests {
 
     #[test]
     fn the_message_names_step_term_and_sample() {
-        let sample = Some("00/000007".to_owned());
-        let error = NonFinite { step: 12, what: "gradient", term: "l_pla".into(), sample };
+        let samples = vec!["00/000007".to_owned()];
+        let error = NonFinite { step: 12, what: "gradient", term: "l_pla".into(), samples };
         let text = error.to_string();
         assert!(text.starts_with("step 12: the gradient of l_pla is not finite (first in sample 00/000007); "), "{text}");
-        assert!(NonFinite { sample: None, ..error }.to_string().contains("in no single sample"));
+        let samples = vec!["00/000007".to_owned(), "01/000002".to_owned()];
+        assert!(NonFinite { samples, ..error }.to_string().contains("(batch of samples 00/000007, 01/000002)"));
     }
 }

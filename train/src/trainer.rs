@@ -88,7 +88,7 @@ impl Trainer {
         for (norm, name) in norms.iter().zip(["depth network", "pose network", "flow network"]) {
             if norm.is_some_and(|n| !n.is_finite()) {
                 let term = format!("the {name}'s weights");
-                return Err(NonFinite { step, what: "gradient", term, sample: None });
+                return Err(Failure { what: "gradient", term, sample: None }.at(step, batch));
             }
         }
         let optimiser = self.adamw();

@@ -51,7 +51,9 @@ impl CheckpointError {
 
     pub(super) fn write(path: &Path, source: io::Error) -> Self {
         let advice = match source.kind() {
-            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "free some space and continue with --resume",
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+                "free some space; a run goes on from its last checkpoint with --resume"
+            }
             io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => "choose a folder that may be written to",
             io::ErrorKind::NotFound => "create the folder first",
             _ => "choose another place or check the disk",

@@ -4,15 +4,20 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-use super::failure::Exit;
+use super::failure::{Exit, UsageError};
 use super::output;
 use crate::eval::{Alignment, Arithmetic, OdometryProtocol};
-use crate::run::eval_odometry::{EvalOdometryRequest, TrajectoryFormat, eval_odometry};
+use crate::progress::Bar;
+use crate::run::eval_motion::{EvalMotionRequest, eval_motion};
+use crate::run::eval_odometry::{EvalOdometryRequest, OdometryChanges, TrajectoryFormat, eval_odometry};
 
 const LONG_ABOUT: &str = "\
-Score a trajectory file against a true one.
+Score motion against ground truth: of a trained run, or of a trajectory file.
 
-Both files hold world_from_camera poses, either as KITTI rows (12 numbers, or 13 with the frame index first) or in TUM form \
+A run (--run) is scored on worlds that were not trained on or on a folder with true poses (--data), frame to frame and as \
+trajectories, beside predictors that do not look: zero motion and the mean training motion.
+
+Two files (--gt, --est) hold world_from_camera poses, either as KITTI rows (12 numbers, or 13 with the frame index first) or in TUM form \
 (time x y z qx qy qz qw). Frames are matched by index, or by time when both files hold times.
 
 Printed: e_t and e_r (mean error over sub-sequences of fixed lengths), ATE (distance of aligned positions), RPE (error from \
@@ -20,6 +25,8 @@ frame to frame). The alignment is always named: a monocular trajectory has no sc
 
 const EXAMPLES: &str = "\
 Examples:
+  dimode eval odometry --run runs/train-street-s1
+  dimode eval odometry --run runs/train-street-s1 --data worlds --lengths 5,10 --json
   dimode eval odometry --gt poses/09.txt --est predictions/09/trajectory.kitti.txt
   dimode eval odometry --gt gt.tum --est est.tum --align se3 --json
   dimode eval odometry --gt poses/00.txt --est est.txt --lengths 5,10,20 --start-step 1";
@@ -57,24 +64,36 @@ impl From<Align> for Alignment {
 #[derive(Debug, Args)]
 #[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct EvalOdometryArgs {
+    /// Folder of a trained run
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["gt", "est", "format", "max_time_difference"])]
+    run: Option<PathBuf>,
+    /// Folder of frames with true poses [default: the data of the run, or held-out worlds]
+    #[arg(long, value_name = "DIR", requires = "run")]
+    data: Option<PathBuf>,
+    /// Sequences of the folder, with commas [default: all]
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "run")]
+    sequences: Vec<String>,
+    /// Looks of the pose network at a pair [default: those of the run]
+    #[arg(long, value_name = "N", requires = "run")]
+    looks: Option<usize>,
     /// True trajectory
-    #[arg(long, value_name = "FILE")]
-    gt: PathBuf,
+    #[arg(long, value_name = "FILE", requires = "est")]
+    gt: Option<PathBuf>,
     /// Estimated trajectory
-    #[arg(long, value_name = "FILE")]
-    est: PathBuf,
+    #[arg(long, value_name = "FILE", requires = "gt")]
+    est: Option<PathBuf>,
     /// Fit before the comparison
     #[arg(long, value_name = "HOW", default_value = "sim3")]
     align: Align,
     /// Form of both files [default: by the number of columns]
     #[arg(long, value_name = "FORM")]
     format: Option<TrajectoryFormat>,
-    /// Lengths of the sub-sequences in metres, with commas [default: 100,200,..,800]
+    /// Lengths of the sub-sequences in metres, with commas [default: 100,200,..,800; of a run as in its report]
     #[arg(long, value_name = "METRES", value_delimiter = ',')]
     lengths: Vec<f64>,
-    /// Frames between the starts of sub-sequences
-    #[arg(long, value_name = "N", default_value_t = 10)]
-    start_step: usize,
+    /// Frames between the starts of sub-sequences [default: 10; 1 for a run on short paths]
+    #[arg(long, value_name = "N")]
+    start_step: Option<usize>,
     /// Angles and inverses by exact formulas instead of those of the usual tool
     #[arg(long)]
     robust: bool,
@@ -89,21 +108,36 @@ pub struct EvalOdometryArgs {
 impl EvalOdometryArgs {
     /// Compares and prints.
     pub fn run(self) -> anyhow::Result<Exit> {
-        let mut protocol = OdometryProtocol { alignment: self.align.into(), start_step: self.start_step, ..Default::default() };
-        if !self.lengths.is_empty() {
-            protocol.lengths = self.lengths;
-        }
-        if self.robust {
-            protocol.arithmetic = Arithmetic::Robust;
-        }
+        let json = self.json;
+        let changes = OdometryChanges {
+            alignment: Some(self.align.into()),
+            lengths: self.lengths,
+            start_step: self.start_step,
+            arithmetic: self.robust.then_some(Arithmetic::Robust),
+        };
+        let (truth, estimate) = match (self.run, self.gt, self.est) {
+            (Some(run), ..) => {
+                let request = EvalMotionRequest { run, data: self.data, sequences: self.sequences, looks: self.looks, changes };
+                let result = eval_motion(&request, &Bar::new())?;
+                if json {
+                    output::json(&result)?;
+                } else {
+                    output::text(&result.render_table())?;
+                }
+                return Ok(Exit::Done);
+            }
+            (None, Some(truth), Some(estimate)) => (truth, estimate),
+            _ => return Err(UsageError::new("nothing to score", "give --run RUN, or --gt FILE with --est FILE").into()),
+        };
+        let protocol = changes.on(OdometryProtocol::default());
         let result = eval_odometry(&EvalOdometryRequest {
-            truth: self.gt,
-            estimate: self.est,
+            truth,
+            estimate,
             format: self.format,
             max_time_difference: self.max_time_difference,
             protocol,
         })?;
-        if self.json {
+        if json {
             output::json(&result)?;
         } else {
             output::text(&result.table())?;

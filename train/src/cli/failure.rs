@@ -10,6 +10,7 @@ use crate::config::ConfigError;
 use crate::data::DataError;
 use crate::eval::EvalError;
 use crate::non_finite::NonFinite;
+use crate::report::ReportError;
 use crate::run::RunError;
 
 /// How the process ends.
@@ -106,6 +107,7 @@ fn has_advice(cause: &(dyn std::error::Error + 'static)) -> bool {
         || cause.is::<RunError>()
         || cause.is::<UsageError>()
         || cause.is::<EvalError>()
+        || cause.is::<ReportError>()
         || cause.is::<NonFinite>()
 }
 

@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::failure::Exit;
-use super::output;
+use super::{interrupt, output};
 use crate::progress::Bar;
+use crate::run::Stopped;
 use crate::run::infer::{InferRequest, SequenceSummary, infer};
 
 const LONG_ABOUT: &str = "\
@@ -46,7 +47,12 @@ impl InferArgs {
     /// Predicts and writes.
     pub fn run(self) -> anyhow::Result<Exit> {
         let request = InferRequest { run: self.run, data: self.data, sequences: self.sequences, out: self.out };
-        let summaries = infer(&request, &Bar::new())?;
+        let stop = interrupt::stop_flag("stopping; nothing will be written")?;
+        let bar = Bar::new();
+        let summaries = match infer(&request, &bar, &stop) {
+            Err(error) if error.is::<Stopped>() => return Ok(Exit::Interrupted),
+            other => other?,
+        };
         if self.json {
             output::json(&summaries)?;
         } else {

@@ -14,11 +14,11 @@ pub fn check_out(out: &Path, force: bool) -> anyhow::Result<()> {
         let what = format!("{}: already there", out.display());
         return Err(UsageError::new(what, "name another one, or add --force to replace it").into());
     }
-    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if let Some(folder) = folder {
-        std::fs::create_dir_all(folder).map_err(|error| crate::data::DataError::write(folder, error))?;
-    }
-    Ok(())
+    let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let probe = folder.join(format!(".dimode-{}.tmp", std::process::id()));
+    let written =
+        std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&probe, "")).and_then(|()| std::fs::remove_file(&probe));
+    Ok(written.map_err(|error| crate::data::DataError::write(out, error))?)
 }
 
 /// Prints the errors on held-out worlds, or tells why there are none.

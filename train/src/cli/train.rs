@@ -66,19 +66,19 @@ pub struct TrainArgs {
     /// Small frames and few steps: a first look in about two minutes
     #[arg(long)]
     quick: bool,
-    /// Training steps of all stages together
+    /// Training steps of all stages together [default: 3600]
     #[arg(long, value_name = "N")]
     steps: Option<u64>,
-    /// Snippets in a step
+    /// Snippets in a step [default: 4]
     #[arg(long, value_name = "N")]
     batch: Option<usize>,
-    /// Seed of everything random: the same seed gives the same bits
+    /// Seed of everything random: the same seed gives the same bits [default: 1]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Full learning rate
+    /// Full learning rate [default: 0.001]
     #[arg(long, value_name = "RATE")]
     learning_rate: Option<f64>,
-    /// Size of the frames the networks see, multiples of 32
+    /// Size of the frames the networks see, multiples of 32 [default: 128x64]
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// Stages to train: 1, 1,2 or 1,2,3; the steps of the others go to the last one named
@@ -129,14 +129,15 @@ impl TrainArgs {
         }
         run::check_data(&config)?;
         let resume = self.resume.is_some();
-        if !resume {
-            run::first_weights::check_first_weights(&config.nets)?;
-        }
-        let out = match self.resume {
-            Some(folder) => folder,
-            None => RunFolder::create(self.out.unwrap_or_else(|| default_out(&config)), &config, self.force)?.path().to_owned(),
+        let folder = match self.resume {
+            Some(folder) => RunFolder::new(folder),
+            None => {
+                run::first_weights::check_first_weights(&config.nets)?;
+                RunFolder::create(self.out.unwrap_or_else(|| default_out(&config)), &config, typed, self.force)?
+            }
         };
-        let request = TrainRequest { config, out, resume, command: typed.to_owned() };
+        let command = folder.command().unwrap_or_else(|| typed.to_owned());
+        let request = TrainRequest { config, out: folder.path().to_owned(), resume, command };
         let stop = interrupt::stop_flag("finishing this step, then saving")?;
         let bar = Bar::new();
         let outcome = run::train::train(&request, &bar, &stop);
@@ -158,8 +159,12 @@ impl TrainArgs {
             config = config.with_setting(setting)?;
         }
         // Another folder may be the current one when the run is resumed.
-        if let Some(path) = &mut config.data.path {
-            *path = std::path::absolute(&*path).unwrap_or_else(|_| path.clone());
+        let absolute = |path: &mut PathBuf| *path = std::path::absolute(&*path).unwrap_or_else(|_| path.clone());
+        config.data.path.as_mut().map(absolute);
+        for weights in [&mut config.nets.flow_weights, &mut config.nets.pose_weights] {
+            if let FirstWeights::File(path) = weights {
+                absolute(path);
+            }
         }
         config.validate()?;
         Ok(config)
@@ -233,7 +238,11 @@ fn default_out(config: &Config) -> PathBuf {
 
 fn report(request: &TrainRequest, outcome: &TrainOutcome, json: bool) -> anyhow::Result<Exit> {
     match outcome {
-        TrainOutcome::Finished { metrics, .. } if json => output::json(metrics)?,
+        TrainOutcome::Finished { metrics, checkpoint_hash, .. } if json => {
+            let mut metrics = metrics.clone();
+            metrics["checkpoint_hash"] = checkpoint_hash.as_str().into();
+            output::json(&metrics)?;
+        }
         TrainOutcome::Finished { table, report, checkpoint_hash, .. } => {
             let hash = format!("checkpoint {} ({checkpoint_hash})", RunFolder::new(&request.out).checkpoint().display());
             output::text(&format!("{}\n\nreport     {}\n{hash}\n", table.trim_end(), report.display()))?;
@@ -331,6 +340,26 @@ mod tests {
         assert_eq!(default_out(&Config::default()), PathBuf::from("runs/train-street-s1"));
         let config = settings(&["--data", "some/kitti", "--seed", "4"]).unwrap();
         assert_eq!(default_out(&config), PathBuf::from("runs/train-kitti-s4"));
+    }
+
+    #[test]
+    fn the_help_tells_the_true_defaults() {
+        use clap::CommandFactory;
+        let help = Alone::command().render_long_help().to_string();
+        let Config { seed, data, train, .. } = Config::default();
+        let size = format!("{}x{}", data.width, data.height);
+        let defaults = [
+            ("steps", train.steps.to_string()),
+            ("batch", train.batch.to_string()),
+            ("seed", seed.to_string()),
+            ("learning-rate", train.learning_rate.to_string()),
+            ("size", size),
+        ];
+        for (flag, value) in defaults {
+            let text = &help[help.find(&format!("--{flag} <")).unwrap()..];
+            let end = text[2..].find("\n      --").map_or(text.len(), |at| at + 2);
+            assert!(text[..end].contains(&format!("[default: {value}]")), "--{flag}: {}", &text[..end]);
+        }
     }
 
     #[test]

@@ -27,6 +27,39 @@ fn write_synced(path: &Path, bytes: &[u8]) -> io::Result<()> {
     file.sync_all()
 }
 
+/// A file that says that a folder was made by this program and may be replaced by it.
+const MARKER: &str = ".dimode";
+
+/// Makes a folder that [`is_ours`] tells from others.
+///
+/// **Errors** [`DataError::Write`] when the system refuses.
+pub(crate) fn make_ours(folder: &Path) -> Result<(), DataError> {
+    let marked =
+        fs::create_dir_all(folder).and_then(|()| fs::write(folder.join(MARKER), "Written by dimode, may be replaced by it.\n"));
+    marked.map_err(|error| DataError::write(folder, error))
+}
+
+/// Whether a folder was made by [`make_ours`].
+pub(crate) fn is_ours(folder: &Path) -> bool {
+    folder.join(MARKER).is_file()
+}
+
+/// The folder beside `path` in which its content is prepared. One that an interrupted command left is removed.
+///
+/// **Errors** [`DataError::Occupied`] when something else has that name, [`DataError::Write`] when the system refuses.
+pub(crate) fn free_staging(path: &Path) -> Result<PathBuf, DataError> {
+    let path = std::path::absolute(path).map_err(|error| DataError::write(path, error))?;
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let staging = path.with_file_name(format!("{name}.partial"));
+    if staging.exists() {
+        if !is_ours(&staging) {
+            return Err(DataError::Occupied { path: staging });
+        }
+        fs::remove_dir_all(&staging).map_err(|error| DataError::write(&staging, error))?;
+    }
+    Ok(staging)
+}
+
 /// A name in the same folder that no other writer uses: process number and a counter.
 fn temporary_beside(path: &Path) -> PathBuf {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
@@ -47,6 +80,19 @@ mod tests {
         write_atomic(&path, b"new").unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn only_our_own_staging_folder_is_removed() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("out");
+        let staging = free_staging(&path).unwrap();
+        make_ours(&staging).unwrap();
+        assert_eq!(free_staging(&path).unwrap(), staging);
+        assert!(!staging.exists());
+        fs::create_dir(&staging).unwrap();
+        let message = free_staging(&path).unwrap_err().to_string();
+        assert!(message.contains("out.partial") && staging.exists(), "{message}");
     }
 
     #[test]

@@ -131,7 +131,8 @@ fn depth_of_size(path: &Path, camera: &Intrinsics) -> Result<Map, DataError> {
     Err(DataError::malformed(path, reason, "store depth at the size of the image"))
 }
 
-/// The entries of a folder whose names do not start with a dot, sorted by name.
+/// The entries of a folder whose names do not start with a dot, sorted by name; runs of digits in names count as numbers, so that
+/// `frame2` comes before `frame10`.
 pub(crate) fn sorted_entries(folder: &Path, what: &str) -> Result<Vec<PathBuf>, DataError> {
     let failed = |error| DataError::read(folder, what, error);
     let mut entries = Vec::new();
@@ -141,11 +142,25 @@ pub(crate) fn sorted_entries(folder: &Path, what: &str) -> Result<Vec<PathBuf>, 
             entries.push(entry.path());
         }
     }
-    entries.sort();
+    entries.sort_by_cached_key(|path| (name_key(&last_part(path)), path.clone()));
     Ok(entries)
 }
 
-/// The PNG and JPEG files of a folder by extension (any case), sorted by name.
+/// A name as text and numbers in turn; a number is its digits without leading zeros, shorter ones first.
+fn name_key(name: &str) -> Vec<(String, usize, String)> {
+    let mut parts = Vec::new();
+    let mut rest = name;
+    while !rest.is_empty() {
+        let (text, after) = rest.split_at(rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len()));
+        let (digits, after) = after.split_at(after.find(|c: char| !c.is_ascii_digit()).unwrap_or(after.len()));
+        let number = digits.trim_start_matches('0');
+        parts.push((text.to_owned(), number.len(), number.to_owned()));
+        rest = after;
+    }
+    parts
+}
+
+/// The PNG and JPEG files of a folder by extension (any case), in the order of [`sorted_entries`].
 pub(crate) fn image_files(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
     let is_image = |path: &PathBuf| {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());

@@ -153,6 +153,20 @@ mod tests {
     }
 
     #[test]
+    fn numbers_in_names_count_as_numbers() {
+        let folder = tempfile::tempdir().unwrap();
+        let image = Image::from_vec(3, 12, 24, vec![0.0; 864]);
+        let names = ["clip1_9", "clip1_10", "clip1_011", "clip2_0", "clip10_0", "clip10_a"];
+        for name in names {
+            write_rgb_png(&folder.path().join(format!("{name}.png")), &image).unwrap();
+        }
+        fs::write(folder.path().join("intrinsics.txt"), CAMERA).unwrap();
+        let data = open_folder(folder.path(), &LoadOptions::default()).unwrap();
+        let read: Vec<_> = (0..names.len()).map(|k| data.frame(0, k).unwrap().name.clone()).collect();
+        assert_eq!(read, names);
+    }
+
+    #[test]
     fn a_folder_of_sequences_shares_the_intrinsics() {
         let folder = tempfile::tempdir().unwrap();
         put_frames(&folder.path().join("b/images"), 3);
@@ -173,8 +187,8 @@ mod tests {
         let folder = layout();
         fs::remove_file(folder.path().join("intrinsics.txt")).unwrap();
         let message = message(&folder);
-        assert!(message.contains("intrinsics.txt (or intrinsics.toml) not found; write a file"), "{message}");
-        assert!(message.contains("u0 = 607.193"), "{message}");
+        assert!(message.contains("intrinsics.txt (or intrinsics.toml) not found; write fu fv u0 v0"), "{message}");
+        assert!(message.contains("718.856 718.856 607.193 185.216"), "{message}");
     }
 
     #[test]

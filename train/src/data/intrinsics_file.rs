@@ -24,8 +24,8 @@ use super::calib::checked_intrinsics;
 use super::text::{filled_lines, parse_number, read_text};
 
 /// What an intrinsics file looks like, for messages.
-pub(crate) const EXAMPLE: &str = "write a file intrinsics.txt with these lines (your numbers):\n  \
-    fu = 718.856\n  fv = 718.856\n  u0 = 607.193\n  v0 = 185.216\n  width = 1241\n  height = 376";
+pub(crate) const EXAMPLE: &str = "write fu fv u0 v0 in pixels of the frames into a file intrinsics.txt beside them, for instance: \
+    718.856 718.856 607.193 185.216";
 
 const KEYS: [&str; 13] = ["fu", "fv", "u0", "v0", "width", "height", "normalized", "skew", "k1", "k2", "k3", "p1", "p2"];
 /// Largest relative difference of the two ratios when intrinsics are carried to another image size.
@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn messages_show_an_example() {
-        assert!(message("").contains("fu = 718.856\n  fv = 718.856"));
+        assert!(message("").contains("for instance: 718.856 718.856 607.193 185.216"));
     }
 
     proptest! {

@@ -8,6 +8,8 @@
 //! ROOT/depth/NN/%06d.png               16-bit, metres * 256, 0 unknown
 //! ROOT/flow/NN/%06d.png                KITTI flow from this frame to the next one, valid where the next frame sees the point
 //! ```
+//!
+//! A hidden file `.dimode` tells that the folder was made here.
 
 use std::fs;
 use std::io;
@@ -15,13 +17,14 @@ use std::path::{Path, PathBuf};
 
 use dimode_geometry::Se3;
 
+use super::atomic::{free_staging, is_ours, make_ours};
 use super::calib::format_projection;
 use super::file_dataset::{last_part, sorted_entries};
 use super::{DataError, Dataset, Frame, encode_depth_png, encode_flow_png, encode_rgb_png, format_poses};
 
 /// Seconds between frames of a dataset that does not tell its times: the 10 Hz of KITTI.
 const FRAME_TIME: f64 = 0.1;
-/// The folders of the layout: nothing else is ever replaced or removed.
+/// The folders of the layout.
 const LAYOUT: [&str; 4] = ["sequences", "poses", "depth", "flow"];
 
 /// What [`write_kitti`] has written.
@@ -40,10 +43,10 @@ pub struct WriteSummary {
 }
 
 /// Writes all of a dataset to the folder `root`, by way of `root.partial` and a rename, so `root` appears complete or not at
-/// all. `overwrite` allows to replace a folder of this layout. After each frame `progress` is told (frames done, all frames).
+/// all. `overwrite` allows to replace a folder that this function wrote. After each frame `progress` is told (frames done, all frames).
 ///
-/// **Errors** [`DataError::Occupied`] when `root` is not empty and `overwrite` is not set, or it holds anything that is not of
-/// this layout; [`DataError::Write`] when the system refuses; errors of the dataset. What was begun is removed.
+/// **Errors** [`DataError::Occupied`] when `root` is not empty and `overwrite` is not set, or it was not written here, or it holds
+/// anything that is not of this layout; [`DataError::Write`] when the system refuses; errors of the dataset. What was begun is removed.
 pub fn write_kitti(
     dataset: &dyn Dataset,
     root: &Path,
@@ -51,12 +54,7 @@ pub fn write_kitti(
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<WriteSummary, DataError> {
     check_target(root, overwrite)?;
-    let partial = with_suffix(root, "partial");
-    // A folder left behind by an interrupted run.
-    if partial.exists() {
-        check_target(&partial, true)?;
-        remove(&partial)?;
-    }
+    let partial = free_staging(root)?;
     let written = write_all(dataset, &partial, progress).and_then(|summary| {
         put_in_place(&partial, root)?;
         Ok(summary)
@@ -68,7 +66,7 @@ pub fn write_kitti(
     written
 }
 
-/// **Errors** [`DataError::Occupied`] unless `folder` is free, empty, or (with `overwrite`) of this layout.
+/// **Errors** [`DataError::Occupied`] unless `folder` is free, empty, or (with `overwrite`) written here.
 fn check_target(folder: &Path, overwrite: bool) -> Result<(), DataError> {
     if !folder.exists() {
         return Ok(());
@@ -77,7 +75,7 @@ fn check_target(folder: &Path, overwrite: bool) -> Result<(), DataError> {
         return Err(DataError::write(folder, io::Error::from(io::ErrorKind::NotADirectory)));
     }
     let entries = sorted_entries(folder, "output folder")?;
-    let replaceable = overwrite && entries.iter().all(|entry| LAYOUT.contains(&last_part(entry).as_str()));
+    let replaceable = overwrite && is_ours(folder) && entries.iter().all(|entry| LAYOUT.contains(&last_part(entry).as_str()));
     if entries.is_empty() || replaceable {
         return Ok(());
     }
@@ -111,7 +109,7 @@ fn write_all(dataset: &dyn Dataset, root: &Path, progress: &mut dyn FnMut(usize,
     let count = dataset.sequence_count();
     let total = (0..count).map(|s| dataset.sequence_len(s)).sum();
     let mut writer = Writer { dataset, root, summary: WriteSummary::default() };
-    make_folder(root)?;
+    make_ours(root)?;
     for sequence in 0..count {
         writer.write_sequence(sequence, &mut |done| progress(done, total))?;
     }
@@ -324,6 +322,7 @@ mod tests {
     #[test]
     fn leftovers_of_an_interrupted_run_are_cleared_away() {
         let folder = tempfile::tempdir().unwrap();
+        make_ours(&folder.path().join("out.partial")).unwrap();
         fs::create_dir_all(folder.path().join("out.partial/sequences/00")).unwrap();
         write(false, &folder.path().join("out"), false).unwrap();
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);

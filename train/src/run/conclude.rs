@@ -2,13 +2,16 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Result;
 use dimode_autodiff::{Tape, Tensor};
 use dimode_geometry::{Se3, Trajectory, taped};
 
+use super::eval_odometry::OdometryChanges;
 use super::frames::for_each_frame;
-use super::{RunFolder, TrainRequest, TrainedModel, held_out_worlds};
+use super::{RunFolder, Stopped, TrainRequest, TrainedModel, held_out_worlds, training_frames};
+use crate::config::Config;
 use crate::data::{DataError, Dataset, FlowMap, Frame, Map};
 use crate::eval::{
     Alignment, DepthProtocol, DepthTable, DepthTableBuilder, Evaluation, MeanDisparity, MeanMotion, MotionTable,
@@ -37,13 +40,14 @@ pub struct Concluded {
 /// Evaluates and writes `metrics.json`, `report.html`, trajectories and depth pictures into the run's folder.
 ///
 /// # Errors
-/// When frames cannot be read or files cannot be written.
+/// When frames cannot be read or files cannot be written, and [`Stopped`] soon after `stop` is set.
 pub fn conclude(
     request: &TrainRequest,
     folder: &RunFolder,
     training: &dyn Dataset,
     trained: &TrainedModel,
     progress: &dyn Progress,
+    stop: &AtomicBool,
 ) -> Result<Concluded> {
     let held_out = match &request.config.data.path {
         Some(_) => None,
@@ -51,8 +55,9 @@ pub fn conclude(
     };
     let frames: &dyn Dataset = held_out.as_ref().map_or(training, |d| d);
     let means = means(training)?;
-    let (sequences, depth) = predict(request, folder, trained, frames, means.0, progress)?;
-    let motion = motion_table(&sequences, means.1)?;
+    let (sequences, depth) = predict(request, folder, trained, frames, means.0, progress, stop)?;
+    let paths = sequences.iter().filter_map(|s| Some((s.name.as_str(), &s.steps[..], s.truth.as_ref()?)));
+    let motion = motion_table(&paths.collect::<Vec<_>>(), means.1, &OdometryChanges::default())?;
     let count: usize = sequences.iter().map(|s| s.frames).sum();
     let kind = if held_out.is_some() { "not trained on" } else { "the frames trained on, without their truth" };
     let evaluation = Evaluation {
@@ -95,6 +100,7 @@ fn predict(
     dataset: &dyn Dataset,
     mean_disparity: Option<Map>,
     progress: &dyn Progress,
+    stop: &AtomicBool,
 ) -> Result<(Vec<Predicted>, Option<DepthTable>)> {
     let settings = &request.config.eval;
     let protocol = DepthProtocol { min_depth: settings.min_depth, max_depth: settings.max_depth, ..DepthProtocol::default() };
@@ -125,10 +131,14 @@ fn predict(
             }
             done += 1;
             progress.step(done, "");
-            Ok(())
+            if stop.load(Ordering::Relaxed) { Err(Stopped.into()) } else { Ok(()) }
         })?;
         let truth = poses.into_iter().collect::<Option<Vec<Se3>>>().map(Trajectory::from_poses);
-        write_trajectory(&trajectories, &name, &path_like(&steps, truth.as_ref())?)?;
+        let mut path = path_like(&steps, truth.as_ref())?;
+        for (pose, &time) in path.poses.iter_mut().zip(dataset.times(sequence).into_iter().flatten()) {
+            pose.stamp = Some(time);
+        }
+        write_trajectory(&trajectories, &name, &path)?;
         let shown = match (sequence < SHOWN, frame_shown, next_shown) {
             (true, Some((frame, depth)), Some(next)) => Some(Shown { frame, next, depth, step: steps[middle] }),
             _ => None,
@@ -153,23 +163,33 @@ fn path_like(steps: &[Se3], truth: Option<&Trajectory>) -> Result<Trajectory> {
     })
 }
 
-fn motion_table(sequences: &[Predicted], mean: Option<MeanMotion>) -> Result<Option<MotionTable>> {
+/// The motions of sequences (name, `next_from_this` between neighbours, truth) beside trivial ones; none without a sequence.
+/// The protocol is the one for paths as long as these, with some changes.
+pub(super) fn motion_table(
+    sequences: &[(&str, &[Se3], &Trajectory)],
+    mean: Option<MeanMotion>,
+    changes: &OdometryChanges,
+) -> Result<Option<MotionTable>> {
     // The shortest sub-sequence of the usual protocol is 100 m.
-    let long = sequences.iter().flat_map(|s| &s.truth).any(|t| t.path_length() > 100.0);
-    let odometry = if long { OdometryProtocol::default() } else { OdometryProtocol::small_world() };
-    let mut table = MotionTableBuilder::new("this run", odometry, mean);
-    let mut with_truth = false;
-    for sequence in sequences {
-        if let Some(truth) = &sequence.truth {
-            table.add_sequence(&sequence.name, &sequence.steps, truth)?;
-            with_truth = true;
-        }
+    let long = sequences.iter().any(|(.., truth)| truth.path_length() > 100.0);
+    let usual = if long { OdometryProtocol::default() } else { OdometryProtocol::small_world() };
+    let mut table = MotionTableBuilder::new("this run", changes.on(usual), mean);
+    for (name, steps, truth) in sequences {
+        table.add_sequence(name, steps, truth)?;
     }
-    Ok(if with_truth { Some(table.finish()?) } else { None })
+    Ok(if sequences.is_empty() { None } else { Some(table.finish()?) })
+}
+
+/// The means of the frames that a run was trained on, or none if they have been moved away since.
+pub(super) fn means_of(config: &Config) -> Result<(Option<Map>, Option<MeanMotion>)> {
+    match config.data.path.as_ref().is_none_or(|path| path.exists()) {
+        true => means(training_frames(config)?.as_ref()),
+        false => Ok((None, None)),
+    }
 }
 
 /// Mean disparity map and mean motion of the training data, as far as its truth is known.
-pub(super) fn means(training: &dyn Dataset) -> Result<(Option<Map>, Option<MeanMotion>)> {
+fn means(training: &dyn Dataset) -> Result<(Option<Map>, Option<MeanMotion>)> {
     let (mut disparity, mut motions, mut maps) = (MeanDisparity::new(), Vec::new(), 0);
     for sequence in 0..training.sequence_count().min(MEAN_SEQUENCES) {
         let mut before = None;

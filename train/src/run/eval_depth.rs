@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 
-use super::conclude::means;
-use super::{TrainedModel, held_out_worlds, open_frames, training_frames};
+use super::conclude::means_of;
+use super::frames::frames_to_score;
+use super::TrainedModel;
 use crate::data::{DataError, Dataset, Map, read_depth_png};
 use crate::eval::{Crop, DepthProtocol, DepthScaling, DepthTable, DepthTableBuilder, Evaluation, TrivialDepth};
 use crate::progress::Progress;
@@ -73,7 +74,7 @@ pub fn eval_depth(request: &EvalDepthRequest, progress: &dyn Progress) -> Result
         DepthSource::Run { run, data, sequences } => {
             let model = TrainedModel::load(run)?;
             let protocol = request.changes.on(protocol_of(&model));
-            let dataset = frames_of(&model, data.as_deref(), sequences)?;
+            let dataset = frames_to_score(&model.config, data.as_deref(), sequences)?;
             let table = score_run(&model, dataset.as_ref(), protocol, progress)?;
             (run.display().to_string(), dataset.name(), table)
         }
@@ -90,19 +91,6 @@ fn protocol_of(model: &TrainedModel) -> DepthProtocol {
     DepthProtocol { min_depth: eval.min_depth, max_depth: eval.max_depth, ..DepthProtocol::default() }
 }
 
-fn frames_of(model: &TrainedModel, data: Option<&Path>, sequences: &[String]) -> Result<Box<dyn Dataset>, DataError> {
-    let mut settings = model.config.data.clone();
-    match data.or(settings.path.clone().as_deref()) {
-        Some(path) => {
-            if data.is_some() || !sequences.is_empty() {
-                settings.sequences = sequences.to_vec();
-            }
-            open_frames(path, &settings, 1)
-        }
-        None => Ok(Box::new(held_out_worlds(&model.config)?)),
-    }
-}
-
 fn score_run(
     model: &TrainedModel,
     dataset: &dyn Dataset,
@@ -110,10 +98,7 @@ fn score_run(
     progress: &dyn Progress,
 ) -> Result<DepthTable> {
     let mut trivial = vec![TrivialDepth::Constant(1.0)];
-    // The frames that were trained on may have been moved away since.
-    if model.config.data.path.as_ref().is_none_or(|path| path.exists()) {
-        trivial.extend(means(training_frames(&model.config)?.as_ref())?.0.map(TrivialDepth::MeanDisparity));
-    }
+    trivial.extend(means_of(&model.config)?.0.map(TrivialDepth::MeanDisparity));
     let mut table = DepthTableBuilder::new("this run", protocol, trivial)?;
     let total: usize = (0..dataset.sequence_count()).map(|s| dataset.sequence_len(s)).sum();
     progress.start(total as u64, "frames");

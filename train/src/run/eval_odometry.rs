@@ -7,7 +7,7 @@ use dimode_geometry::Trajectory;
 use serde::Serialize;
 
 use crate::data::DataError;
-use crate::eval::{OdometryErrors, OdometryProtocol, evaluate_odometry};
+use crate::eval::{Alignment, Arithmetic, OdometryErrors, OdometryProtocol, evaluate_odometry};
 
 /// How a trajectory is written in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -17,6 +17,31 @@ pub enum TrajectoryFormat {
     Kitti,
     /// Time, position, quaternion: 8 numbers a line
     Tum,
+}
+
+/// Choices behind the numbers that were asked for.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OdometryChanges {
+    /// Fit before the comparison.
+    pub alignment: Option<Alignment>,
+    /// Lengths of the sub-sequences in metres; empty for those of the protocol.
+    pub lengths: Vec<f64>,
+    /// Frames between the starts of sub-sequences.
+    pub start_step: Option<usize>,
+    /// How angles and inverses are computed.
+    pub arithmetic: Option<Arithmetic>,
+}
+
+impl OdometryChanges {
+    /// The protocol with these choices.
+    pub fn on(&self, base: OdometryProtocol) -> OdometryProtocol {
+        OdometryProtocol {
+            alignment: self.alignment.unwrap_or(base.alignment),
+            lengths: if self.lengths.is_empty() { base.lengths } else { self.lengths.clone() },
+            start_step: self.start_step.unwrap_or(base.start_step),
+            arithmetic: self.arithmetic.unwrap_or(base.arithmetic),
+        }
+    }
 }
 
 /// What to compare and how.

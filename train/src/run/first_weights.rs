@@ -20,6 +20,18 @@ const POSE: [(&str, &[u8]); 2] = [
 /// # Errors
 /// As [`load_first_weights`]; [`DataError::Malformed`] for a file.
 pub fn check_first_weights(nets: &NetsConfig) -> Result<()> {
+    if let FirstWeights::File(path) = &nets.flow_weights
+        && !path.is_file()
+    {
+        let advice = "check nets.flow_weights: embedded, random or a file that 'dimode pretrain flow' wrote".to_owned();
+        return Err(DataError::Missing { path: path.clone(), what: "flow weights".to_owned(), advice }.into());
+    }
+    if let FirstWeights::File(path) = &nets.pose_weights
+        && !path.is_dir()
+    {
+        let advice = "check nets.pose_weights: embedded, random or a folder that 'dimode pretrain pose' wrote".to_owned();
+        return Err(DataError::Missing { path: path.clone(), what: "pose weights".to_owned(), advice }.into());
+    }
     let mut fresh = Model::new(nets).init(0);
     let explain = |loaded: Result<()>, from: &FirstWeights, advice: &str| match from {
         FirstWeights::File(path) => {

@@ -24,6 +24,12 @@ pub enum RunError {
         /// The folder.
         path: PathBuf,
     },
+    /// Something else is there.
+    #[error("{}: not empty, and not the folder of a run; name another folder with --out", path.display())]
+    NotARun {
+        /// The folder.
+        path: PathBuf,
+    },
     /// No run is there.
     #[error("{}: no run found (no {missing}); name the folder that 'dimode train' wrote", path.display())]
     NoRun {
@@ -40,6 +46,8 @@ pub struct RunFolder {
     path: PathBuf,
 }
 
+/// Begins the line of `config.toml` that holds the command.
+const COMMAND: &str = "# ";
 const CONFIG: &str = "config.toml";
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const LOG: &str = "log.jsonl";
@@ -52,18 +60,20 @@ impl RunFolder {
         Self { path: path.into() }
     }
 
-    /// Makes the folder for a new run and writes `config.toml`. With `force` the files of an earlier run are removed first;
-    /// files that no run writes are left alone.
+    /// Makes the folder for a new run and writes `config.toml`, with the command that asked for the run in its first line. With
+    /// `force` the files of an earlier run are removed first; files that no run writes are left alone.
     ///
-    /// **Errors** [`RunError`] when a run is there and `force` is not set, [`DataError`] when the system refuses.
-    pub fn create(path: impl Into<PathBuf>, config: &Config, force: bool) -> anyhow::Result<Self> {
+    /// **Errors** [`RunError`] when a run is there and `force` is not set, or something that is no run; [`DataError`] when the
+    /// system refuses.
+    pub fn create(path: impl Into<PathBuf>, config: &Config, command: &str, force: bool) -> anyhow::Result<Self> {
         let run = Self::new(path);
         run.check_free(force)?;
         fs::create_dir_all(&run.path).map_err(|error| DataError::write(&run.path, error))?;
         if force {
             run.clear()?;
         }
-        run.write_config(config)?;
+        let text = format!("{COMMAND}{command}\n\n{}", config.to_toml());
+        write_atomic(&run.config(), text.as_bytes())?;
         Ok(run)
     }
 
@@ -82,6 +92,9 @@ impl RunFolder {
 
     fn check_free(&self, force: bool) -> Result<(), RunError> {
         let path = self.path.clone();
+        if !self.is_free_or_a_run() {
+            return Err(RunError::NotARun { path });
+        }
         match force {
             true => Ok(()),
             false if self.is_finished() => Err(RunError::Finished { path }),
@@ -90,6 +103,23 @@ impl RunFolder {
         }
     }
 
+    /// Whether nothing is there, or the configuration that every run begins with.
+    fn is_free_or_a_run(&self) -> bool {
+        let is_empty = fs::read_dir(&self.path).map_or(true, |mut entries| entries.next().is_none());
+        let of_a_run = |text: String| {
+            toml::from_str(&text).is_ok_and(|table: toml::Table| ["nets", "train"].iter().all(|key| table.contains_key(*key)))
+        };
+        is_empty || fs::read_to_string(self.config()).is_ok_and(of_a_run)
+    }
+
+    /// Takes back a run that could not begin.
+    pub(super) fn give_up(&self) {
+        // The error that led here is the one to tell.
+        let _ = self.clear();
+        let _ = fs::remove_dir(&self.path);
+    }
+
+    /// Removes what a run writes; what else is there stays.
     fn clear(&self) -> Result<(), DataError> {
         for name in [METRICS, REPORT, CHECKPOINT, LOG, CONFIG] {
             let file = self.path.join(name);
@@ -108,11 +138,10 @@ impl RunFolder {
         Ok(())
     }
 
-    /// Writes `config.toml`.
-    ///
-    /// **Errors** [`DataError::Write`].
-    pub fn write_config(&self, config: &Config) -> Result<(), DataError> {
-        write_atomic(&self.config(), config.to_toml().as_bytes())
+    /// The command that asked for the run, as `config.toml` tells it.
+    pub fn command(&self) -> Option<String> {
+        let text = fs::read_to_string(self.config()).ok()?;
+        Some(text.lines().next()?.strip_prefix(COMMAND)?.to_owned())
     }
 
     /// Reads and checks `config.toml`.
@@ -169,26 +198,45 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let path = place.path().join("a/b");
         let config = Config::quick();
-        let run = RunFolder::create(&path, &config, false).unwrap();
+        let create = |force| RunFolder::create(&path, &config, "dimode train --quick", force);
+        let run = create(false).unwrap();
         assert_eq!(run.read_config().unwrap(), config);
-        RunFolder::create(&path, &config, false).unwrap();
+        assert_eq!(run.command().unwrap(), "dimode train --quick");
+        create(false).unwrap();
         fs::write(run.checkpoint(), "x").unwrap();
-        let message = RunFolder::create(&path, &config, false).unwrap_err().to_string();
+        let message = create(false).unwrap_err().to_string();
         assert!(message.contains("--resume"), "{message}");
         fs::write(run.metrics(), "{}").unwrap();
         fs::write(path.join("notes.txt"), "mine").unwrap();
-        let message = RunFolder::create(&path, &config, false).unwrap_err().to_string();
+        let message = create(false).unwrap_err().to_string();
         assert!(message.contains("finished run"), "{message}");
-        RunFolder::create(&path, &config, true).unwrap();
+        create(true).unwrap();
         assert!(!run.checkpoint().exists() && !run.metrics().exists());
         assert!(path.join("notes.txt").exists());
     }
 
     #[test]
+    fn folders_of_something_else_are_left_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let foreign = place.path().join("depth/mine.txt");
+        fs::create_dir(place.path().join("depth")).unwrap();
+        fs::write(&foreign, "x").unwrap();
+        for config in [None, Some("name = \"of another program\"")] {
+            if let Some(text) = config {
+                fs::write(place.path().join("config.toml"), text).unwrap();
+            }
+            for force in [false, true] {
+                let message = RunFolder::create(place.path(), &Config::quick(), "", force).unwrap_err().to_string();
+                assert!(message.contains("not the folder of a run"), "{message}");
+            }
+        }
+        assert!(foreign.exists());
+    }
+
+    #[test]
     fn a_run_that_does_not_name_a_setting_is_refused() {
         let place = tempfile::tempdir().unwrap();
-        let run = RunFolder::create(place.path().join("run"), &Config::default(), false).unwrap();
-        run.write_config(&Config::default()).unwrap();
+        let run = RunFolder::create(place.path().join("run"), &Config::default(), "dimode train", false).unwrap();
         let text = fs::read_to_string(run.config()).unwrap();
         for (key, name) in [("pose_iterations", "nets.pose_iterations"), ("noise_share", "loss.geometric.noise_share")] {
             let without: Vec<_> = text.lines().filter(|line| !line.starts_with(key)).collect();
@@ -212,7 +260,7 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let file = place.path().join("file");
         fs::write(&file, "x").unwrap();
-        let message = RunFolder::create(file.join("run"), &Config::quick(), false).unwrap_err().to_string();
+        let message = RunFolder::create(file.join("run"), &Config::quick(), "", false).unwrap_err().to_string();
         assert!(message.contains("cannot be written"), "{message}");
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Result;
 use dimode_autodiff::par;
 
-use crate::config::{Config, DataConfig, FirstWeights};
+use crate::config::{Config, DataConfig};
 use crate::data::synthetic::{Split, SyntheticConfig, SyntheticDataset};
 use crate::data::{DataError, Dataset, Frame, LoadOptions, open};
 
@@ -60,6 +60,23 @@ pub(super) fn for_each_frame(dataset: &dyn Dataset, sequence: usize, visit: &mut
     Ok(())
 }
 
+/// The frames on which a run is scored: those of `data`, or of the folder that it was trained on, or worlds that it was not
+/// trained on. `sequences` chooses among those of a folder; empty for all of `data`, or for those of the run.
+///
+/// **Errors** [`DataError`].
+pub(super) fn frames_to_score(config: &Config, data: Option<&Path>, sequences: &[String]) -> Result<Box<dyn Dataset>, DataError> {
+    let mut settings = config.data.clone();
+    match data.or(settings.path.clone().as_deref()) {
+        Some(path) => {
+            if data.is_some() || !sequences.is_empty() {
+                settings.sequences = sequences.to_vec();
+            }
+            open_frames(path, &settings, 1)
+        }
+        None => Ok(Box::new(held_out_worlds(config)?)),
+    }
+}
+
 fn worlds(config: &Config, split: Split, sequences: usize, frames: usize) -> Result<SyntheticDataset, DataError> {
     let data = &config.data;
     SyntheticDataset::new(SyntheticConfig {
@@ -83,18 +100,6 @@ fn worlds(config: &Config, split: Split, sequences: usize, frames: usize) -> Res
 ///
 /// **Errors** [`DataError`] for the first thing that cannot be used.
 pub fn check_data(config: &Config) -> Result<(), DataError> {
-    if let FirstWeights::File(path) = &config.nets.flow_weights
-        && !path.is_file()
-    {
-        let advice = "check nets.flow_weights: embedded, random or a file that 'dimode pretrain flow' wrote".to_owned();
-        return Err(DataError::Missing { path: path.clone(), what: "flow weights".to_owned(), advice });
-    }
-    if let FirstWeights::File(path) = &config.nets.pose_weights
-        && !path.is_dir()
-    {
-        let advice = "check nets.pose_weights: embedded, random or a folder that 'dimode pretrain pose' wrote".to_owned();
-        return Err(DataError::Missing { path: path.clone(), what: "pose weights".to_owned(), advice });
-    }
     let Some(path) = &config.data.path else { return Ok(()) };
     let dataset = open_frames(path, &config.data, SNIPPET)?;
     let frames: Vec<(usize, usize)> =

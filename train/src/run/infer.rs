@@ -2,12 +2,14 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Result;
 use dimode_geometry::Trajectory;
 use serde::Serialize;
 
-use super::{TrainedModel, open_frames};
+use super::{Stopped, TrainedModel, open_frames};
+use crate::data::atomic::{free_staging, make_ours};
 use crate::data::{DataError, Dataset, Map, write_atomic, write_depth_png};
 use crate::progress::Progress;
 use crate::report::picture::Picture;
@@ -40,19 +42,18 @@ pub struct SequenceSummary {
 /// Writes `SEQUENCE/depth/NAME.png` (16 bit, unit x 256), `SEQUENCE/depth_colour/NAME.png`, and the trajectory in KITTI and
 /// TUM form. The folder appears complete or not at all.
 ///
-/// **Errors** of the run, of the data, and what the system refuses.
-pub fn infer(request: &InferRequest, progress: &dyn Progress) -> Result<Vec<SequenceSummary>> {
-    check_free(&request.out)?;
+/// **Errors** of the run, of the data, what the system refuses, and [`Stopped`] soon after `stop` is set.
+pub fn infer(request: &InferRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<SequenceSummary>> {
+    let out = std::path::absolute(&request.out).map_err(|error| DataError::write(&request.out, error))?;
+    check_free(&out)?;
     let model = TrainedModel::load(&request.run)?;
     let mut data = model.config.data.clone();
     data.sequences.clone_from(&request.sequences);
     let dataset = open_frames(&request.data, &data, 1)?;
-    let staging = staging_beside(&request.out);
-    if staging.exists() {
-        fs::remove_dir_all(&staging).map_err(|error| DataError::write(&staging, error))?;
-    }
-    let written = write_all(&model, dataset.as_ref(), &staging, progress).and_then(|summaries| {
-        put_in_place(&staging, &request.out)?;
+    let staging = free_staging(&out)?;
+    let written = make_ours(&staging).map_err(Into::into);
+    let written = written.and_then(|()| write_all(&model, dataset.as_ref(), &staging, progress, stop)).and_then(|summaries| {
+        put_in_place(&staging, &out)?;
         Ok(summaries)
     });
     if written.is_err() {
@@ -67,11 +68,6 @@ fn check_free(out: &Path) -> Result<(), DataError> {
     if filled || out.is_file() { Err(DataError::Occupied { path: out.to_owned() }) } else { Ok(()) }
 }
 
-fn staging_beside(out: &Path) -> PathBuf {
-    let name = out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    out.with_file_name(format!("{name}.partial"))
-}
-
 fn put_in_place(staging: &Path, out: &Path) -> Result<(), DataError> {
     if out.exists() {
         fs::remove_dir(out).map_err(|error| DataError::write(out, error))?;
@@ -79,7 +75,13 @@ fn put_in_place(staging: &Path, out: &Path) -> Result<(), DataError> {
     fs::rename(staging, out).map_err(|error| DataError::write(out, error))
 }
 
-fn write_all(model: &TrainedModel, dataset: &dyn Dataset, root: &Path, progress: &dyn Progress) -> Result<Vec<SequenceSummary>> {
+fn write_all(
+    model: &TrainedModel,
+    dataset: &dyn Dataset,
+    root: &Path,
+    progress: &dyn Progress,
+    stop: &AtomicBool,
+) -> Result<Vec<SequenceSummary>> {
     let total: usize = (0..dataset.sequence_count()).map(|s| dataset.sequence_len(s)).sum();
     progress.start(total as u64, "frames");
     let mut done = 0;
@@ -90,6 +92,7 @@ fn write_all(model: &TrainedModel, dataset: &dyn Dataset, root: &Path, progress:
         let trajectory = write_sequence(model, dataset, sequence, &folder, &mut || {
             done += 1;
             progress.step(done as u64, &name);
+            if stop.load(Ordering::Relaxed) { Err(Stopped.into()) } else { Ok(()) }
         })?;
         let (frames, path_length) = (trajectory.len(), trajectory.path_length());
         summaries.push(SequenceSummary { name: name.clone(), frames, path_length });
@@ -103,7 +106,7 @@ fn write_sequence(
     dataset: &dyn Dataset,
     sequence: usize,
     folder: &Path,
-    done: &mut dyn FnMut(),
+    done: &mut dyn FnMut() -> Result<()>,
 ) -> Result<Trajectory> {
     for name in ["depth", "depth_colour"] {
         let folder = folder.join(name);
@@ -111,8 +114,7 @@ fn write_sequence(
     }
     let steps = model.walk(dataset, sequence, &mut |_, frame, depth| {
         write_depth(model, &frame.name, &depth, folder)?;
-        done();
-        Ok(())
+        done()
     })?;
     let mut trajectory = Trajectory::accumulate(&steps);
     if let Some(times) = dataset.times(sequence) {

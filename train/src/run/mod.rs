@@ -2,6 +2,7 @@
 
 pub mod conclude;
 pub mod eval_depth;
+pub mod eval_motion;
 pub mod eval_odometry;
 pub mod first_weights;
 pub mod folder;
@@ -18,6 +19,11 @@ use crate::config::Config;
 pub use folder::{RunError, RunFolder};
 pub use frames::{check_data, held_out_worlds, load_options, open_frames, training_frames};
 pub use trained::TrainedModel;
+
+/// The work was stopped on request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("stopped on request")]
+pub struct Stopped;
 
 /// What to train and where to put it.
 #[derive(Clone, Debug)]

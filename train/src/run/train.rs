@@ -9,7 +9,7 @@ use serde_json::{Map, Value, json};
 
 use super::first_weights::load_first_weights;
 use super::trained::{NamedTensor, restore_weights, weight_tensors};
-use super::{RunFolder, TrainOutcome, TrainRequest, TrainedModel, conclude, training_frames};
+use super::{RunFolder, Stopped, TrainOutcome, TrainRequest, TrainedModel, conclude, training_frames};
 use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, hash};
 use crate::config::{Config, Decay as DecayConfig};
@@ -30,11 +30,11 @@ const PROBE_EVERY: u64 = 25;
 
 /// Trains as requested, evaluates on data that was not trained on, writes the report.
 ///
-/// Stops after a complete step when `stop` is set; a checkpoint is written then.
+/// Stops after a complete step when `stop` is set, or soon in the evaluation; a checkpoint is written then.
 ///
 /// # Errors
 /// When data cannot be read, files cannot be written, the checkpoint does not fit the configuration, or a loss or gradient is
-/// not finite ([`crate::non_finite::NonFinite`]); the last checkpoint stays.
+/// not finite ([`crate::non_finite::NonFinite`]); a checkpoint of the step before is written then.
 pub fn train(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<TrainOutcome> {
     par::inside(|| run(request, progress, stop))
 }
@@ -52,12 +52,16 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
     let load = |items: Vec<(usize, usize)>, step| Batch::load(dataset.as_ref(), &items, &config.train, config.seed, step);
     let observed = ObservedFlow::default();
     let mut prepared = None;
+    if !request.resume {
+        // From here on there is a checkpoint to go on from, whatever happens.
+        save(&trainer, step).write(&folder.checkpoint()).inspect_err(|_| folder.give_up())?;
+    }
     progress.start(steps, "training");
     while step < steps {
         let began = Instant::now();
         let (index, stage) = schedule.stage(step);
         if step == 0 || schedule.stage(step - 1).0 != index {
-            progress.note(&format!("step {step}: stage {}", stage.name));
+            progress.note(&format!("step {}: stage {}", step + 1, stage.name));
         }
         let Prepared { batch, flow } = match prepared.take() {
             Some(ready) => ready,
@@ -81,7 +85,15 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
                 Ok(Some(Prepared { batch, flow }))
             },
         );
-        let report = report?;
+        let report = match report {
+            Ok(report) => report,
+            Err(error) => {
+                // Weights and optimiser are those of the step before.
+                log.sync()?;
+                save(&trainer, step).write(&folder.checkpoint())?;
+                return Err(error.into());
+            }
+        };
         prepared = upcoming?;
         step += 1;
         log.append(&record(step, &stage.name, &report, rate, began.elapsed().as_secs_f64()))?;
@@ -98,7 +110,7 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
     progress.finish();
     let Trainer { model, weights, .. } = trainer;
     let trained = TrainedModel { config: config.clone(), model, weights };
-    finish(request, &folder, dataset.as_ref(), &trained, progress)
+    finish(request, &folder, dataset.as_ref(), &trained, progress, stop)
 }
 
 /// A batch that was made while the step before it was taken.
@@ -204,8 +216,12 @@ fn finish(
     dataset: &dyn Dataset,
     trained: &TrainedModel,
     progress: &dyn Progress,
+    stop: &AtomicBool,
 ) -> Result<TrainOutcome> {
-    let concluded = conclude::conclude(request, folder, dataset, trained, progress)?;
+    let concluded = match conclude::conclude(request, folder, dataset, trained, progress, stop) {
+        Err(error) if error.is::<Stopped>() => return Ok(TrainOutcome::Interrupted { step: request.config.train.steps }),
+        other => other?,
+    };
     let table = concluded.evaluation.render_table();
     let metrics: Value = serde_json::to_value(&concluded.evaluation)?;
     Ok(TrainOutcome::Finished { table, metrics, report: folder.report(), checkpoint_hash: hash(&folder.checkpoint())? })

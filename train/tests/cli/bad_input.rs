@@ -134,6 +134,8 @@ fn runs_that_are_already_there() {
     let place = place(3);
     fs::create_dir_all(&place.out).unwrap();
     fs::write(place.out.join("checkpoint.safetensors"), "x").unwrap();
+    place.train().refused(2, &["not empty, and not the folder of a run", "--out"]);
+    fs::write(place.out.join("config.toml"), dimode(&["train", "--print-config"]).succeeded()).unwrap();
     place.train().refused(2, &["unfinished run", "--resume", "--force"]);
     fs::write(place.out.join("metrics.json"), "{}").unwrap();
     place.train().refused(2, &["finished run", "--force"]);

@@ -61,6 +61,11 @@ fn folders_are_replaced_only_when_asked() {
     fs::write(out.join("mine.txt"), "x").unwrap();
     synth(&out, &["--force"]).refused(2, &["not empty"]);
     assert!(out.join("mine.txt").exists());
+    let other = place.path().join("of another program");
+    fs::create_dir_all(other.join("sequences/00")).unwrap();
+    fs::write(other.join("sequences/00/mine.txt"), "x").unwrap();
+    synth(&other, &["--force"]).refused(2, &["not empty"]);
+    assert!(other.join("sequences/00/mine.txt").exists());
 }
 
 #[test]

@@ -95,6 +95,13 @@ fn a_run_leaves_report_metrics_log_and_can_be_used() {
     let scores = dimode(&["eval", "depth", "--run", text(&run), "--json"]).succeeded();
     let scores: serde_json::Value = serde_json::from_str(&scores).unwrap();
     assert_eq!(scores["depth"]["rows"][0]["abs_rel"].as_f64().unwrap(), own, "one way to compute a number");
+    let motion = |more: &[&str]| -> serde_json::Value {
+        let args = [&["eval", "odometry", "--run", text(&run), "--json"], more].concat();
+        serde_json::from_str::<serde_json::Value>(&dimode(&args).succeeded()).unwrap()["motion"].take()
+    };
+    assert_eq!(motion(&[]), metrics["motion"], "one way to compute a number");
+    assert_ne!(motion(&["--looks", "1"])["rows"][0], metrics["motion"]["rows"][0]);
+    dimode(&["eval", "odometry", "--run", text(&run), "--looks", "99"]).refused(2, &["nets.pose_test_iterations = 99"]);
 
     let (data, out) = (place.path("frames"), place.path("predicted"));
     crate::frames(&data, 4);
@@ -107,6 +114,10 @@ fn a_run_leaves_report_metrics_log_and_can_be_used() {
     let trajectory = fs::read_to_string(sequence.join("trajectory.kitti.txt")).unwrap();
     assert_eq!(trajectory.lines().count(), 4);
     dimode(&infer).refused(2, &["not empty"]);
+    fs::create_dir(place.path("other.partial")).unwrap();
+    let beside = ["infer", "--run", text(&run), "--data", text(&data), "--out", text(&place.path("other"))].map(str::to_owned);
+    dimode(&beside.each_ref().map(String::as_str)).refused(2, &["other.partial", "not empty"]);
+    assert!(place.path("other.partial").exists(), "what others made stays");
 
     let (single, out) = (place.path("single"), place.path("depth of one"));
     crate::frames(&single, 1);
@@ -133,7 +144,8 @@ fn interrupted_and_killed_runs_continue_with_the_same_bits() {
     for (name, how) in [("interrupted", "-INT"), ("killed", "-KILL")] {
         let mut child = place.start(name, &[&steps[..], &["--threads", "1"]].concat());
         let checkpoint = place.checkpoint(name);
-        wait_until(&mut child, || checkpoint.exists() || child_log(&place, name) >= 1 && how == "-INT");
+        let enough = if how == "-INT" { 1 } else { 3 };
+        wait_until(&mut child, || child_log(&place, name) >= enough);
         signal(&child, how);
         let status = child.wait().unwrap();
         if how == "-INT" {
@@ -175,9 +187,26 @@ fn a_full_disk_leaves_no_half_checkpoint() {
     let place = Place::new();
     let run = place.path("run");
     fs::create_dir(&run).unwrap();
+    fs::write(run.join("config.toml"), dimode(&["train", "--print-config"]).succeeded()).unwrap();
     std::os::unix::fs::symlink("/dev/full", run.join(".checkpoint.safetensors.tmp")).unwrap();
     place.train("run", &["--steps", "1"]).refused_after_notes(1, &["checkpoint.safetensors", "free some space"]);
-    assert!(!place.checkpoint("run").exists());
+    for file in ["checkpoint.safetensors", "config.toml", "log.jsonl"] {
+        assert!(!run.join(file).exists(), "{file} of a run that could not begin is left");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_the_evaluation_too() {
+    let place = Place::new();
+    let mut child = place.start("run", &["--steps", "1", "--set", "eval.worlds=2000"]);
+    wait_until(&mut child, || place.path("run/trajectories").exists());
+    signal(&child, "-INT");
+    let ran = finished(child.wait_with_output().unwrap());
+    assert_eq!(ran.code, 130, "{}", ran.err);
+    assert!(ran.err.contains("--resume"), "{}", ran.err);
+    assert_eq!(step_of(&place.checkpoint("run")), 1);
+    assert!(!place.path("run/metrics.json").exists());
 }
 
 #[test]
@@ -219,6 +248,8 @@ fn a_pre_trained_pose_network_starts_a_run() {
     let onto_file = dimode(&["pretrain", "pose", "--out", text(&file), "--force"]);
     onto_file.refused(2, &["file: is a file", "name a folder"]);
     place.train("one", &["--steps", "1", "--pose-weights", text(&folder)]).succeeded();
+    fs::remove_dir_all(&folder).unwrap();
+    dimode(&["train", "--resume", text(&place.path("one")), "--json"]).succeeded();
     place.train("other", &["--steps", "1"]).succeeded();
     let hash_of = |run| hash(&place.checkpoint(run)).unwrap();
     assert_ne!(hash_of("one"), hash_of("other"));
@@ -243,9 +274,10 @@ fn the_pose_rate_is_the_pose_networks_alone() {
 #[test]
 fn values_that_are_not_finite_stop_the_run_and_keep_the_checkpoint() {
     let place = Place::new();
-    let wild = ["--steps", "9", "--learning-rate", "1e30", "--set", "train.checkpoint_every=1", "--set", "train.warmup=0"];
+    let wild = ["--steps", "9", "--learning-rate", "1e30", "--set", "train.warmup=0"];
     place.train("run", &wild).refused_after_notes(1, &["step ", "not finite", "sample", "fix: "]);
-    assert!(step_of(&place.checkpoint("run")) >= 1);
+    let step = step_of(&place.checkpoint("run"));
+    assert!(step >= 1 && step == child_log(&place, "run") as u64, "the steps that were taken are saved: {step}");
     assert!(!place.path("run/metrics.json").exists());
 }
 
