@@ -3,7 +3,7 @@
 use std::process::{Command, Stdio};
 
 const CONFIG: &str = r#"
-seed = 1
+seed = 2
 [data]
 width = 128
 height = 64
@@ -13,7 +13,7 @@ frames = 4
 pose_weights = "random"
 flow_iterations = 2
 [train]
-steps = 80
+steps = 120
 batch = 2
 warmup = 5
 learning_rate = 0.002
@@ -40,9 +40,9 @@ fn losses_of_all_stages_fall_on_one_world() {
     assert!(command.stdout(Stdio::null()).stderr(Stdio::null()).status().unwrap().success());
     let log = std::fs::read_to_string(place.path().join("run/log.jsonl")).unwrap();
     let log: Vec<_> = log.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    // With a learning rate of zero these ratios are 1.00; here they are 0.67, 0.44 and 0.35.
-    for (term, from, share) in [("l_pho", 0, 0.8), ("l_tan", 20, 0.65), ("l_rad", 20, 0.6)] {
-        let (first, last) = (mean(&log, term, from, from + 10), mean(&log, term, 70, 80));
+    // With a learning rate of zero these ratios are 1.00; here they are 0.16, 0.06 and 0.03.
+    for (term, from, share) in [("l_pho", 0, 0.5), ("l_tan", 28, 0.4), ("l_rad", 28, 0.4)] {
+        let (first, last) = (mean(&log, term, from, from + 10), mean(&log, term, 110, 120));
         assert!(last < share * first, "{term} fell from {first} to {last} only");
     }
 }
