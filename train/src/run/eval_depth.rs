@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 
+use super::TrainedModel;
 use super::conclude::means_of;
 use super::frames::frames_to_score;
-use super::TrainedModel;
 use crate::data::{DataError, Dataset, Map, read_depth_png};
 use crate::eval::{Crop, DepthProtocol, DepthScaling, DepthTable, DepthTableBuilder, Evaluation, TrivialDepth};
 use crate::progress::Progress;
