@@ -26,37 +26,26 @@ pub struct Pairs<'a> {
     pub earlier: usize,
     /// Depth of the targets `[n, 1, h, w]`; not used when there is one look only.
     pub depth: Option<&'a Tensor<f32>>,
-    /// Motions said by looks that came before; none when the first look is still to come.
-    pub so_far: Option<&'a [Se3]>,
     /// Cameras, one a pair.
     pub cameras: &'a [Intrinsics],
 }
 
 impl Model {
-    /// Motions `source_from_target` in a number of looks, on the tape. Each of these looks passes a gradient to the network; none
-    /// passes through the warp.
+    /// Motions `source_from_target` in a number of looks, on the tape. Every look passes a gradient to the network; none passes
+    /// through the warp.
     ///
     /// # Panics
-    /// When there is no look at all, when there is more than one and no depth, or when a shape does not fit.
+    /// When there is more than one look and no depth, or when a shape does not fit.
     pub fn source_from_target<'t>(&self, binder: &mut Binder<'t, f32>, pairs: &Pairs<'_>, looks: usize) -> Pose<'t, f32> {
-        assert!(looks > 0, "a motion needs a look");
         let tape = binder.tape();
         let [target, source] = [pairs.target, pairs.source].map(|x| tape.constant(x.clone()));
-        let mut pose = pairs.so_far.map(|motions| {
-            let (rotation, translation) = taped::pose::pose_tensors(motions);
-            Pose { rotation: tape.constant(rotation), translation: tape.constant(translation) }
-        });
-        for _ in 0..looks {
-            pose = Some(match pose {
-                None => self.look(binder, target, source, pairs.earlier),
-                Some(so_far) => {
-                    let depth = tape.constant(pairs.depth.expect("a second look needs depth").clone());
-                    let seen = warped(source, depth, so_far.detach(), pairs.cameras);
-                    so_far.compose(self.look(binder, target, seen, pairs.earlier))
-                }
-            });
+        let mut pose = self.look(binder, target, source, pairs.earlier);
+        for _ in 1..looks {
+            let depth = tape.constant(pairs.depth.expect("a second look needs depth").clone());
+            let seen = warped(source, depth, pose.detach(), pairs.cameras);
+            pose = pose.compose(self.look(binder, target, seen, pairs.earlier));
         }
-        pose.expect("at least one look")
+        pose
     }
 
     /// Motions `source_from_target` in a number of looks, as values.
@@ -130,7 +119,7 @@ mod tests {
 
         fn pairs(&self, earlier: usize) -> Pairs<'_> {
             let Setting { target, source, depth, cameras, .. } = self;
-            Pairs { target, source, earlier, depth: Some(depth), so_far: None, cameras }
+            Pairs { target, source, earlier, depth: Some(depth), cameras }
         }
 
         fn said(&self, pairs: &Pairs<'_>) -> Vec<Se3> {
@@ -189,16 +178,6 @@ mod tests {
                 }
             }
         }
-    }
-
-    #[test]
-    fn looks_go_on_from_what_was_said_before() {
-        let (once, four) = (Setting::new(1), Setting::new(4));
-        let mut said = None;
-        for _ in 0..4 {
-            said = Some(once.said(&Pairs { so_far: said.as_deref(), ..once.pairs(1) }));
-        }
-        assert_eq!(said.unwrap(), four.said(&four.pairs(1)));
     }
 
     /// The gradient is that of the first look with the second held, plus that of the second with the first held.

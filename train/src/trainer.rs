@@ -8,8 +8,6 @@ use std::sync::Arc;
 
 use dimode_autodiff::{Pool, Tape, Tensor, par};
 use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, StatisticsUpdate};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use crate::batch::{Batch, join};
 use crate::config::{Config, StageConfig};
@@ -134,7 +132,7 @@ impl Trainer {
         let tape = Tape::with_pool(self.pool.clone());
         let mut depth = binder(&tape, &self.weights.depth, stage.train_depth);
         let mut pose = binder(&tape, &self.weights.pose, stage.train_pose);
-        let outputs = self.run_networks(&tape, batch, stage, step, &mut depth, &mut pose);
+        let outputs = self.run_networks(&tape, batch, stage, &mut depth, &mut pose);
         let losses =
             objective::measure(&self.config, self.model.range, &self.pool, &outputs, &Given { batch, stage, flow, step, probe })?;
         let gradients = tape.backward_and_free(outputs.carry(&losses.gradients));
@@ -152,7 +150,6 @@ impl Trainer {
         tape: &'t Tape<f32>,
         batch: &Batch,
         stage: &StageConfig,
-        step: u64,
         depth: &mut Binder<'t, f32>,
         pose: &mut Binder<'t, f32>,
     ) -> Outputs<'t> {
@@ -174,24 +171,10 @@ impl Trainer {
             source: &join(&[&images.previous, &images.next]),
             earlier: n,
             depth: Some(&join(&[&depth, &depth])),
-            so_far: None,
             cameras: &[&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
         };
-        let so_far = match self.detached_looks(step) {
-            0 => None,
-            looks => Some(self.model.motions(&self.weights.pose, pose.mode(), &pairs, looks)),
-        };
-        let pairs = Pairs { so_far: so_far.as_deref(), ..pairs };
         let motion = self.model.source_from_target(pose, &pairs, self.config.nets.pose_iterations);
         Outputs { disparities: targets, source_disparity: sources, motion }
-    }
-
-    /// Looks of the pose network before those with a gradient, so that it learns from what is left after few looks and after many:
-    /// drawn from the stream of the step.
-    fn detached_looks(&self, step: u64) -> usize {
-        let mut rng = ChaCha8Rng::seed_from_u64(self.config.seed ^ 0x6c6f_6f6b);
-        rng.set_stream(step);
-        rng.random_range(0..=self.config.nets.pose_detached_iterations)
     }
 
     /// Disparities of the sources, previous ones first, `[2 n, 1, h, w]`: values only, on a tape that is gone afterwards.
@@ -270,51 +253,31 @@ mod tests {
         fn new() -> Self {
             let mut config = Config::default();
             (config.data.width, config.data.height, config.data.worlds) = (64, 64, 1);
-            config.nets = NetsConfig {
-                rotation_scale: 500.0,
-                tangential_scale: 100.0,
-                pose_iterations: 1,
-                pose_detached_iterations: 0,
-                ..config.nets
-            };
+            config.nets = NetsConfig { rotation_scale: 500.0, tangential_scale: 100.0, ..config.nets };
             let frames = training_frames(&config).unwrap();
             Setting { config, frames }
         }
 
-        /// What the networks say in a step about a batch that is the same for all steps, and how many looks had no gradient.
-        fn motions(&self, step: u64, change: impl Fn(&mut NetsConfig)) -> (Vec<Se3>, usize) {
+        /// What the networks say about a batch in training.
+        fn motions(&self, change: impl Fn(&mut NetsConfig)) -> Vec<Se3> {
             let mut config = self.config.clone();
             change(&mut config.nets);
             let trainer = Trainer::new(&config, Model::new(&config.nets).init(3), State::default());
             let batch = Batch::load(self.frames.as_ref(), &[(0, 1)], &config.train, 1, 0).unwrap();
             let tape = Tape::new();
             let [mut depth, mut pose] = [&trainer.weights.depth, &trainer.weights.pose].map(|set| binder(&tape, set, true));
-            let outputs = trainer.run_networks(&tape, &batch, &config.train.stages[0], step, &mut depth, &mut pose);
-            (outputs.motion.to_se3(), trainer.detached_looks(step))
+            trainer.run_networks(&tape, &batch, &config.train.stages[0], &mut depth, &mut pose).motion.to_se3()
         }
     }
 
     #[test]
     fn training_looks_as_often_as_its_own_setting_says() {
         let setting = Setting::new();
-        let looks = [1, 2, 3].map(|k| setting.motions(0, |nets| nets.pose_iterations = k).0);
+        let looks = [1, 2, 3].map(|k| setting.motions(|nets| nets.pose_iterations = k));
         assert!(looks[0] != looks[1] && looks[1] != looks[2], "the looks say nothing");
         for (k, said) in looks.iter().enumerate() {
             let with_test = |nets: &mut NetsConfig| (nets.pose_iterations, nets.pose_test_iterations) = (k + 1, 5);
-            assert_eq!(&setting.motions(0, with_test).0, said);
+            assert_eq!(&setting.motions(with_test), said);
         }
-    }
-
-    #[test]
-    fn looks_without_a_gradient_come_first_and_their_number_is_drawn() {
-        let setting = Setting::new();
-        let looks = [1, 2, 3].map(|k| setting.motions(0, |nets| nets.pose_iterations = k).0);
-        let mut drawn = [0; 3];
-        for step in 0..12 {
-            let (said, detached) = setting.motions(step, |nets| nets.pose_detached_iterations = 2);
-            assert_eq!(said, looks[detached], "step {step}: {detached} looks came before");
-            drawn[detached] += 1;
-        }
-        assert!(drawn.iter().all(|&n| n > 0), "{drawn:?}");
     }
 }

@@ -77,8 +77,6 @@ pub struct NetsConfig {
     /// Looks of the pose network at a pair in training. From the second on it sees the source warped by the depth and the motion
     /// said so far, and says what is left; 1 is the reference.
     pub pose_iterations: usize,
-    /// Up to this many looks without a gradient come before them; how many is drawn for each step. 0 is the reference.
-    pub pose_detached_iterations: usize,
     /// Looks where motion is predicted; 1 is the reference.
     pub pose_test_iterations: usize,
     /// Refinements of the flow per pair.
@@ -99,8 +97,7 @@ impl Default for NetsConfig {
             flow_weights: FirstWeights::Embedded,
             pose_weights: FirstWeights::Embedded,
             pose_iterations: 2,
-            pose_detached_iterations: 2,
-            pose_test_iterations: 6,
+            pose_test_iterations: 4,
             flow_iterations: 4,
             rotation_scale: 10.0,
             tangential_scale: 3.0,
@@ -121,8 +118,6 @@ impl NetsConfig {
         {
             require((1..=16).contains(&looks), key, looks, "must be 1 to 16")?;
         }
-        let detached = self.pose_detached_iterations;
-        require(detached <= 16, "nets.pose_detached_iterations", detached, "must be 0 to 16")?;
         let embedded = self.flow_weights == FirstWeights::Embedded && self.flow != FlowNetKind::NanoRaftD4;
         let advice =
             "only those of nano_raft_d4 are part of the program; use \"random\", or a file that 'dimode pretrain flow' wrote";

@@ -116,7 +116,6 @@ impl TrainedModel {
                     source: &images(&views[1..]),
                     earlier: 0,
                     depth: Some(&first_samples(&depth, count - 1)),
-                    so_far: None,
                     cameras: &cameras,
                 };
                 steps.extend(self.motions(&pairs));
@@ -190,8 +189,7 @@ mod tests {
                 let [target, source] = [0, 1].map(|i: usize| images(&[&*pair[i].1]));
                 let cameras = [pair[0].1.intrinsics];
                 let depth = Some(&depth);
-                trained.motions(&Pairs { target: &target, source: &source, earlier: 0, depth, so_far: None, cameras: &cameras })
-                    [0]
+                trained.motions(&Pairs { target: &target, source: &source, earlier: 0, depth, cameras: &cameras })[0]
             };
             let gap = |other: Se3| (step.rotation - other.rotation).norm() + (step.translation - other.translation).norm();
             assert!(gap(with(&pair[0].2)) < 1e-6, "step {k}");
