@@ -1,4 +1,4 @@
-//! Reference numbers with their origin, and the place for what crosses crates.
+//! Reference numbers with their origin.
 //!
 //! The numbers lie under `golden/`; the README of each folder says how they were made and who reads them:
 //!

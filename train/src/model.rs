@@ -3,7 +3,7 @@
 use dimode_autodiff::{Shape, Tensor, Var};
 use dimode_nets::{Binder, DepthNet, FlowNet, Network, ParamSet, PoseNet};
 
-use crate::config::NetsConfig;
+use crate::config::{NetsConfig, SCALE_ANCHOR};
 
 /// How a sigmoid output becomes depth: `1 / depth = 1/max + (1/min - 1/max) disparity`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,6 +18,11 @@ impl DepthRange {
     /// Depth `[n, 1, h, w]` of disparities in (0, 1).
     pub fn depth<'t>(self, disparity: Var<'t, f32>) -> Var<'t, f32> {
         disparity.scale(1.0 / self.min - 1.0 / self.max).add_scalar(1.0 / self.max).recip()
+    }
+
+    /// Depth at the mean disparity near which training holds a network ([`SCALE_ANCHOR`]).
+    pub fn usual(self) -> f64 {
+        1.0 / (1.0 / self.max + (1.0 / self.min - 1.0 / self.max) * SCALE_ANCHOR)
     }
 
     /// Depth of plain disparities.

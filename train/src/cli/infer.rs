@@ -14,8 +14,8 @@ const LONG_ABOUT: &str = "\
 Write depth and trajectory of every frame of a folder.
 
 For each sequence: depth/ (16-bit PNG, value = depth x 256), depth_colour/ (for the eye, near is bright), and the trajectory as \
-trajectory.kitti.txt (12 numbers a line) and trajectory.tum.txt (time, position, quaternion). Depth and positions have the unit \
-of the training run; from a single camera that unit is known only up to a factor.";
+trajectory.kitti.txt (12 numbers a line) and trajectory.tum.txt (time, position, quaternion). Depth and positions have \
+one unit, in which a usual depth is 10; from a single camera its length is not known.";
 
 const EXAMPLES: &str = "\
 Examples:

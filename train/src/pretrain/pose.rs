@@ -276,8 +276,7 @@ fn random_disparity(rng: &mut ChaCha8Rng, width: usize, height: usize) -> Tensor
 /// translations go forwards or backwards, the others anywhere.
 fn random_motion(rng: &mut ChaCha8Rng, range: DepthRange) -> [[f32; 3]; 2] {
     let log_uniform = |rng: &mut ChaCha8Rng, lo: f64, hi: f64| between(rng, lo.ln(), hi.ln()).exp();
-    let depth = 1.0 / (1.0 / range.max + (1.0 / range.min - 1.0 / range.max) * SCALE_ANCHOR);
-    let (angle, length) = (log_uniform(rng, 0.1, 6.0).to_radians(), depth * log_uniform(rng, 0.005, 0.12));
+    let (angle, length) = (log_uniform(rng, 0.1, 6.0).to_radians(), range.usual() * log_uniform(rng, 0.005, 0.12));
     let axis = unit_vector(rng, 1.0);
     let tangential = if rng.random::<f64>() < 0.5 { 0.15 } else { 1.0 };
     let direction = unit_vector(rng, tangential);
@@ -325,7 +324,7 @@ mod tests {
 
     #[test]
     fn motions_stay_within_their_bounds() {
-        let depth = 1.0 / (1.0 / range().max + (1.0 / range().min - 1.0 / range().max) * SCALE_ANCHOR);
+        let depth = range().usual();
         let norm = |v: &[f32; 3]| Vector3::from(v.map(f64::from)).norm();
         let mut forwards = 0;
         for seed in 0..200 {

@@ -15,6 +15,12 @@ use crate::progress::Progress;
 use crate::report::picture::Picture;
 use crate::report::write_trajectory;
 
+/// What the depth becomes at which a network is held in training. Its own unit is below 1, where steps of 1/256 are coarse.
+pub const USUAL_DEPTH: f64 = 10.0;
+
+/// The largest depth that a picture holds.
+const FARTHEST: f32 = 65535.0 / 256.0;
+
 /// What to look at and where to put the result.
 #[derive(Clone, Debug)]
 pub struct InferRequest {
@@ -35,12 +41,12 @@ pub struct SequenceSummary {
     pub name: String,
     /// Frames.
     pub frames: usize,
-    /// Length of the predicted path, in the unit of the training run.
+    /// Length of the predicted path, in the unit of the depth pictures.
     pub path_length: f64,
 }
 
 /// Writes `SEQUENCE/depth/NAME.png` (16 bit, unit x 256), `SEQUENCE/depth_colour/NAME.png`, and the trajectory in KITTI and
-/// TUM form. The folder appears complete or not at all.
+/// TUM form, all in one unit, in which a usual depth is [`USUAL_DEPTH`]. The folder appears complete or not at all.
 ///
 /// **Errors** of the run, of the data, what the system refuses, and [`Stopped`] soon after `stop` is set.
 pub fn infer(request: &InferRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<SequenceSummary>> {
@@ -112,10 +118,13 @@ fn write_sequence(
         let folder = folder.join(name);
         fs::create_dir_all(&folder).map_err(|error| DataError::write(&folder, error))?;
     }
-    let steps = model.walk(dataset, sequence, &mut |_, frame, depth| {
-        write_depth(model, &frame.name, &depth, folder)?;
+    let unit = USUAL_DEPTH / model.model.range.usual();
+    let mut steps = model.walk(dataset, sequence, &mut |_, frame, mut depth| {
+        depth.data.iter_mut().for_each(|z| *z = (*z * unit as f32).min(FARTHEST));
+        write_depth(&frame.name, &depth, folder)?;
         done()
     })?;
+    steps.iter_mut().for_each(|step| step.translation *= unit);
     let mut trajectory = Trajectory::accumulate(&steps);
     if let Some(times) = dataset.times(sequence) {
         for (pose, &time) in trajectory.poses.iter_mut().zip(times) {
@@ -126,10 +135,9 @@ fn write_sequence(
     Ok(trajectory)
 }
 
-fn write_depth(model: &TrainedModel, name: &str, depth: &Map, folder: &Path) -> Result<(), DataError> {
-    let range = model.model.range;
+fn write_depth(name: &str, depth: &Map, folder: &Path) -> Result<(), DataError> {
     write_depth_png(&folder.join("depth").join(format!("{name}.png")), depth)?;
-    let (near, far) = spread(&depth.data).unwrap_or((range.min, range.max));
+    let (near, far) = spread(&depth.data).unwrap_or((0.5 * USUAL_DEPTH, 2.0 * USUAL_DEPTH));
     let picture = Picture::from_depth(depth, 1.0, near, far);
     write_atomic(&folder.join("depth_colour").join(format!("{name}.png")), &picture.to_png())
 }

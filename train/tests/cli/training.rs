@@ -6,6 +6,9 @@ use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 use dimode::checkpoint::{Checkpoint, hash};
+use dimode::data::read_depth_png;
+use dimode::run::{TrainedModel, open_frames};
+use dimode_geometry::Trajectory;
 
 use crate::{Ran, command, dimode, finished, text};
 
@@ -113,6 +116,28 @@ fn a_run_leaves_report_metrics_log_and_can_be_used() {
     assert_eq!(fs::read_dir(sequence.join("depth_colour")).unwrap().count(), 4);
     let trajectory = fs::read_to_string(sequence.join("trajectory.kitti.txt")).unwrap();
     assert_eq!(trajectory.lines().count(), 4);
+
+    // Depth and trajectory share one unit.
+    let trained = TrainedModel::load(&run).unwrap();
+    let frames = open_frames(&data, &trained.config.data, 1).unwrap();
+    let mut depth = Vec::new();
+    let steps = trained.walk(frames.as_ref(), 0, &mut |_, _, map| {
+        depth.push(map);
+        Ok(())
+    });
+    let path = Trajectory::accumulate(&steps.unwrap()).path_length();
+    let unit = summary[0]["path_length"].as_f64().unwrap() / path;
+    let mut pictures: Vec<_> = fs::read_dir(sequence.join("depth")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    pictures.sort();
+    assert!(unit > 5.0, "{unit}: steps of 1/256 are coarse");
+    for (picture, depth) in pictures.iter().zip(&depth) {
+        for (written, z) in read_depth_png(picture).unwrap().data.iter().zip(&depth.data) {
+            let wanted = (f64::from(*z) * unit).min(65535.0 / 256.0);
+            assert!((f64::from(*written) - wanted).abs() < 0.51 / 256.0, "{written} for {wanted}");
+        }
+    }
+    let last = Trajectory::parse_kitti(&trajectory, &sequence).unwrap().path_length();
+    assert!((last / (unit * path) - 1.0).abs() < 1e-6);
     dimode(&infer).refused(2, &["not empty"]);
     fs::create_dir(place.path("other.partial")).unwrap();
     let beside = ["infer", "--run", text(&run), "--data", text(&data), "--out", text(&place.path("other"))].map(str::to_owned);
