@@ -2,6 +2,7 @@
 
 pub mod direct;
 pub(super) mod layout;
+pub(super) mod weight;
 pub mod weight_grad;
 pub mod weight_outer;
 
