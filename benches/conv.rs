@@ -1,7 +1,7 @@
 //! Convolution forward, and forward with both gradients, on shapes of the small networks and of a ResNet-18 at 640 x 192.
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use dimode_autodiff::gradcheck::random;
+use dimode_autodiff::rng::uniform;
 use dimode_autodiff::{Conv2d, Pool, Shape, Tape};
 
 fn shapes() -> Vec<(&'static str, Shape, Shape, Conv2d)> {
@@ -19,7 +19,7 @@ fn shapes() -> Vec<(&'static str, Shape, Shape, Conv2d)> {
 
 fn conv(c: &mut Criterion) {
     for (name, xs, ws, conv) in shapes() {
-        let (x, w) = (random::<f32>(1, xs, -1.0, 1.0), random::<f32>(2, ws, -0.1, 0.1));
+        let (x, w) = (uniform::<f32>(1, xs, -1.0, 1.0), uniform::<f32>(2, ws, -0.1, 0.1));
         let pool = Pool::new();
         c.bench_with_input(BenchmarkId::new("conv forward", name), &conv, |b, &conv| {
             b.iter(|| {

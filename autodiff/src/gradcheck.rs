@@ -2,7 +2,10 @@
 
 use std::fmt;
 
-use crate::{Scalar, Shape, Tape, Tensor, Var};
+use crate::{Scalar, Tape, Tensor, Var};
+
+/// Inputs to check at: [`uniform`](crate::rng::uniform) numbers.
+pub use crate::rng::uniform as random;
 
 /// Settings of [`gradcheck`].
 ///
@@ -156,19 +159,6 @@ fn report(mut entries: Vec<Entry>, settings: GradCheck) -> Report {
     Report { entries: count, failures, worst: entries, signal, relative_error, settings }
 }
 
-/// A tensor of reproducible numbers, uniform in `[lo, hi)`.
-pub fn random<T: Scalar>(seed: u64, shape: Shape, lo: f64, hi: f64) -> Tensor<T> {
-    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5851_f42d_4c95_7f2d;
-    Tensor::from_fn(shape, |_, _, _, _| {
-        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        let unit = ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64;
-        T::from_f64(lo + (hi - lo) * unit)
-    })
-}
-
 /// A scalar that depends on every element of `x` with a different weight: the test loss of an operation with many outputs.
 pub fn weighted_sum<'t, T: Scalar>(x: Var<'t, T>, seed: u64) -> Var<'t, T> {
     let weights = random::<T>(seed, x.shape(), -1.0, 1.0);
@@ -184,6 +174,7 @@ pub fn weighted_sum<'t, T: Scalar>(x: Var<'t, T>, seed: u64) -> Var<'t, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Shape;
 
     /// x^3 whose backward pass is off by the factor `1 + error` in one entry.
     fn cube<'t>(x: Var<'t, f64>, error: f64) -> Var<'t, f64> {

@@ -27,6 +27,7 @@ pub mod gradcheck;
 pub mod ops;
 pub mod par;
 mod pool;
+pub mod rng;
 mod scalar;
 mod shape;
 pub mod simd;

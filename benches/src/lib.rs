@@ -5,7 +5,7 @@
 use dimode::batch::{Batch, Images};
 use dimode::config::Config;
 use dimode::run::training_frames;
-use dimode_autodiff::gradcheck::random;
+use dimode_autodiff::rng::uniform;
 use dimode_autodiff::{Shape, Tensor};
 
 /// The first batch of a default run of the given batch size.
@@ -20,7 +20,7 @@ pub fn rendered_batch(config: &Config) -> Batch {
 
 /// A tensor of colours in [0, 1).
 pub fn colours(seed: u64, shape: Shape) -> Tensor<f32> {
-    random(seed, shape, 0.0, 1.0)
+    uniform(seed, shape, 0.0, 1.0)
 }
 
 /// Three images each of one size, random colours.

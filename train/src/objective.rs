@@ -7,7 +7,7 @@
 use std::sync::Arc;
 
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
-use dimode_autodiff::{Gradients, Pool, Tape, Tensor, Var};
+use dimode_autodiff::{Gradients, Pool, Tape, Tensor, Var, rng};
 use dimode_geometry::Intrinsics;
 use dimode_geometry::losses as geometric;
 use dimode_geometry::taped::{self, Pose, masks};
@@ -216,7 +216,7 @@ impl<'a, 'l> Scene<'a, 'l> {
     /// Errors of the unwarped sources with a little noise that breaks ties, one map for each source.
     fn identities(&self, sources: &Tensor<f32>, target: &Tensor<f32>) -> Vec<Tensor<f32>> {
         let error = photometric_value(sources, target);
-        let noise = dimode_autodiff::gradcheck::random::<f32>(self.config.seed ^ (self.step << 20), error.shape(), 0.0, 2e-5);
+        let noise = rng::uniform::<f32>(self.config.seed ^ (self.step << 20), error.shape(), 0.0, 2e-5);
         let half = error.shape().len() / 2;
         let mut shape = error.shape();
         shape.0[0] /= 2;
