@@ -26,6 +26,7 @@ pub mod gemm;
 pub mod gradcheck;
 pub mod ops;
 pub mod par;
+mod pixel_grid;
 mod pool;
 pub mod rng;
 mod scalar;
@@ -36,6 +37,7 @@ mod tensor;
 
 pub use gradcheck::{GradCheck, gradcheck};
 pub use ops::conv2d::{Conv2d, PadMode};
+pub use pixel_grid::pixel_grid;
 pub use pool::Pool;
 pub use scalar::Scalar;
 pub use shape::Shape;

@@ -15,7 +15,6 @@ use dimode_geometry::taped::{self, Pose, masks};
 use crate::batch::{Batch, join};
 use crate::config::{Config, LossConfig, SCALE_ANCHOR, Sources, StageConfig, StaticMask};
 use crate::losses::flow_consistency::flow_consistency;
-use crate::losses::flow_photometric::pixel_grid;
 use crate::losses::local_structure::local_structure;
 use crate::losses::min_reprojection::min_reprojection;
 use crate::losses::photometric::{photometric, photometric_value};
@@ -201,9 +200,7 @@ impl<'a, 'l> Scene<'a, 'l> {
         let scales = self.leaves.disparities.len();
         for (scale, &disparity) in self.leaves.disparities.iter().enumerate() {
             let rigid = if scale == 0 { self.rigid } else { self.rigid_at(disparity) };
-            let grid = tape.constant(pixel_grid(self.depth.shape()));
-            let coords = rigid.slice(1, 0, 2).add(grid);
-            let error = photometric(sources.bilinear_sample(coords, SamplePadding::Border), target);
+            let error = photometric(taped::warp(sources, rigid.slice(1, 0, 2), SamplePadding::Border), target);
             let best = min_reprojection(&[error.slice(0, 0, n), error.slice(0, n, n)], &identities);
             valid += best.share / scales as f64;
             let mean = best.error.mean().scale(1.0 / scales as f64);

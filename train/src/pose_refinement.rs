@@ -11,7 +11,6 @@ use dimode_geometry::taped::{self, Pose, RotationForm};
 use dimode_geometry::{Intrinsics, Se3};
 use dimode_nets::{Binder, Mode, ParamSet};
 
-use crate::losses::flow_photometric::pixel_grid;
 use crate::model::Model;
 
 /// Pairs of images `[n, 3, h, w]` whose motion `source_from_target` is asked for.
@@ -82,8 +81,7 @@ impl Model {
 /// The sources as they would look from the targets' places if depth and motion were right.
 fn warped<'t>(source: Var<'t, f32>, depth: Var<'t, f32>, pose: Pose<'t, f32>, cameras: &[Intrinsics]) -> Var<'t, f32> {
     let flow = taped::rigid_flow(depth, pose.rotation, pose.translation, cameras).slice(1, 0, 2);
-    let coords = flow.add(depth.tape().constant(pixel_grid(depth.shape())));
-    source.bilinear_sample(coords, SamplePadding::Border)
+    taped::warp(source, flow, SamplePadding::Border)
 }
 
 #[cfg(test)]

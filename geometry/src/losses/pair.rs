@@ -8,7 +8,7 @@ use super::options::LossOptions;
 use crate::alignment::Convention;
 use crate::camera::Intrinsics;
 use crate::taped::smooth::length;
-use crate::taped::{align, masks, translation_in_target_frame};
+use crate::taped::{align, masks, translation_in_target_frame, warp};
 
 /// Inputs of a batch of pairs.
 #[derive(Clone, Copy, Debug)]
@@ -68,8 +68,7 @@ impl<'t, T: Scalar> AlignedPair<'t, T> {
     #[track_caller]
     pub fn new(inputs: &PairInputs<'_, 't, T>, options: &LossOptions) -> Self {
         let flow = inputs.flow;
-        let grid = flow.tape().constant(masks::pixels_plus(&Tensor::zeros(flow.shape())));
-        let sampled = inputs.source_depth.bilinear_sample(grid.add(flow), SamplePadding::Border);
+        let sampled = warp(inputs.source_depth, flow, SamplePadding::Border);
         let mask = masks::all_of(&[inputs.mask, &masks::in_view(&flow.value())]);
         Self::from_sampled(&PairInputs { source_depth: sampled, mask: &mask, ..*inputs }, options)
     }

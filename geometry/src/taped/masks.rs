@@ -3,6 +3,8 @@
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::{Scalar, Shape, Tape, Tensor, par};
 
+use super::warp;
+
 /// Share of the squared flow lengths allowed as forward-backward deviation.
 const OCCLUSION_SLOPE: f64 = 0.01;
 /// Squared pixels allowed as forward-backward deviation on top of that share.
@@ -114,16 +116,7 @@ fn below_mean<T: Scalar>(
 #[track_caller]
 pub fn backward_at_forward<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Tensor<T> {
     let tape = Tape::new();
-    let coords = tape.constant(pixels_plus(forward));
-    tape.constant(backward.clone()).bilinear_sample(coords, SamplePadding::Zeros).value()
-}
-
-/// Pixel grid plus flow, (N,2,H,W).
-pub(crate) fn pixels_plus<T: Scalar>(flow: &Tensor<T>) -> Tensor<T> {
-    let s = flow.shape();
-    Tensor::from_fn(Shape::new(s.n(), 2, s.h(), s.w()), |n, c, v, u| {
-        T::from_usize(if c == 0 { u } else { v }) + flow.at(n, c, v, u)
-    })
+    warp(tape.constant(backward.clone()), tape.constant(forward.clone()), SamplePadding::Zeros).value()
 }
 
 /// Pixels that pass the forward-backward test: `|F + B|^2 <= 0.01 (|F|^2 + |B|^2) + 0.5`, with the

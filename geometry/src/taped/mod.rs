@@ -10,11 +10,13 @@ pub mod pose;
 pub mod rigid_flow;
 pub mod smooth;
 pub mod so3_exp;
+pub mod warp;
 
 pub use alignment::{align, translation_in_target_frame};
 pub use pose::{Pose, source_from_target};
 pub use rigid_flow::rigid_flow;
 pub use so3_exp::{RotationForm, so3_exp};
+pub use warp::warp;
 
 /// Depths at or below this value (in depth units) count as behind the camera: such pixels get zero
 /// flow and no gradient, and the depth channel lets callers mask them.

@@ -3,3 +3,4 @@
 mod losses;
 mod pose_and_masks;
 mod support;
+mod warp;

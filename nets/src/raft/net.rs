@@ -1,6 +1,6 @@
 //! The flow network: encoders, correlation pyramid, refinement, upsampling.
 
-use dimode_autodiff::{Scalar, Shape, Tape, Tensor, Var};
+use dimode_autodiff::{Scalar, Shape, Tape, Tensor, Var, pixel_grid};
 
 use super::FlowNetConfig;
 use super::encoder::Encoder;
@@ -201,10 +201,4 @@ fn normalise<T: Scalar>(images: Var<'_, T>, range: ImageRange) -> Var<'_, T> {
         ImageRange::Byte => 2.0 / 255.0,
     };
     images.scale(scale).add_scalar(-1.0)
-}
-
-/// Column in channel 0, row in channel 1, for a map of the given batch and size.
-fn pixel_grid<T: Scalar>(map: Shape) -> Tensor<T> {
-    let shape = Shape::new(map.n(), 2, map.h(), map.w());
-    Tensor::from_fn(shape, |_, c, row, column| T::from_usize(if c == 0 { column } else { row }))
 }

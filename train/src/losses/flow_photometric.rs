@@ -3,11 +3,12 @@
 //! `L = sum_i 0.8^(N-1-i) [ mean over in-view pixels of photometric(source(p + F_i), target) + w second_order(F_i) ]`; the second
 //! differences of the flow are weighted by `exp(-10 mean_c |I_x|)`, so that kinks are cheap where the image has an edge.
 
+use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::{Scalar, Tensor, Var};
+use dimode_geometry::taped::{masks, warp};
 
 use super::photometric::photometric;
 use super::raft_sequence::GAMMA;
-use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 
 /// Sharpness of the edge weight of the second-order term.
 const EDGE: f64 = 10.0;
@@ -26,32 +27,12 @@ pub fn flow_photometric<'t, T: Scalar>(
     let tape = target.tape();
     let mut total = tape.constant(Tensor::scalar(T::ZERO));
     for (i, &flow) in flows.iter().enumerate() {
-        let coords = flow.add(tape.constant(pixel_grid(flow.shape())));
-        let error = photometric(source.bilinear_sample(coords, SamplePadding::Border), target);
-        let seen = error.masked_mean(&in_view(&coords.value())).mean();
+        let error = photometric(warp(source, flow, SamplePadding::Border), target);
+        let seen = error.masked_mean(&masks::in_view(&flow.value())).mean();
         let smooth = second_order(flow, &target.value()).scale(smoothness);
         total = total.add(seen.add(smooth).scale(GAMMA.powi((flows.len() - 1 - i) as i32)));
     }
     total
-}
-
-/// Pixel coordinates `[n, 2, h, w]`: channel 0 the column, channel 1 the row.
-pub fn pixel_grid<T: Scalar>(shape: dimode_autodiff::Shape) -> Tensor<T> {
-    Tensor::from_fn(shape.with_c(2), |_, c, h, w| T::from_usize(if c == 0 { w } else { h }))
-}
-
-/// 1 where coordinates `[n, 2, h, w]` lie inside the image, `[n, 1, h, w]`.
-pub fn in_view<T: Scalar>(coords: &Tensor<T>) -> Tensor<T> {
-    let shape = coords.shape();
-    let (right, bottom) = (T::from_usize(shape.w() - 1), T::from_usize(shape.h() - 1));
-    let mut mask = Vec::with_capacity(shape.n() * shape.plane());
-    for n in 0..shape.n() {
-        mask.extend(coords.plane(n, 0).iter().zip(coords.plane(n, 1)).map(|(&u, &v)| {
-            let inside = u >= T::ZERO && u <= right && v >= T::ZERO && v <= bottom;
-            if inside { T::ONE } else { T::ZERO }
-        }));
-    }
-    Tensor::from_vec(shape.with_c(1), mask)
 }
 
 /// Edge-weighted mean of absolute second differences along rows and columns, halved each.

@@ -26,7 +26,6 @@ use crate::config::{NetsConfig, SCALE_ANCHOR};
 use crate::data::synthetic::{Preset, Split, SyntheticDataset};
 use crate::data::{Dataset, Jitter};
 use crate::losses::flow_consistency::flow_consistency;
-use crate::losses::flow_photometric::pixel_grid;
 use crate::model::{DepthRange, Model, stack};
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::schedule::{Decay, learning_rate};
@@ -231,8 +230,7 @@ impl Pictures {
         let [rotation, translation] = [0, 1].map(|k| tape.constant(vectors(k)));
         let pose = taped::source_from_target(rotation, translation, false, RotationForm::Exponential);
         let flow = taped::rigid_flow(tape.constant(depth.clone()), pose.rotation, pose.translation, &cameras).slice(1, 0, 2);
-        let coords = flow.add(tape.constant(pixel_grid(depth.shape())));
-        let target = tape.constant(source.clone()).bilinear_sample(coords, SamplePadding::Border).value();
+        let target = taped::warp(tape.constant(source.clone()), flow, SamplePadding::Border).value();
         let flow = flow.value();
         let mask = masks::in_view(&flow);
         Ok(Moved { source, target, depth, flow, mask, cameras })
