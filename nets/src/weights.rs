@@ -1,8 +1,8 @@
 //! Parameters in safetensors files: written atomically, read strictly.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use dimode_autodiff::{Scalar, Tensor};
@@ -10,7 +10,7 @@ use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors, TensorView};
 use thiserror::Error;
 
 use crate::params::shape_of;
-use crate::{ParamSet, Params};
+use crate::{ParamSet, Params, replace_file};
 
 /// Suffix of a counter that the reference modules store and nothing here uses.
 const COUNTER: &str = "num_batches_tracked";
@@ -196,34 +196,12 @@ pub fn to_bytes<T: Scalar>(params: &Params<T>) -> Result<Vec<u8>, WeightError> {
     safetensors::serialize(views, None).map_err(format)
 }
 
-/// Writes `bytes` to `path` so that the file is either the old one or complete: a temporary file
-/// beside it is written, synced and renamed.
-///
-/// # Errors
-/// [`WeightError::Write`].
-pub fn write_atomic(path: &Path, bytes: &[u8]) -> Result<(), WeightError> {
-    let mut temporary = path.as_os_str().to_owned();
-    temporary.push(".tmp");
-    let temporary = PathBuf::from(temporary);
-    let write = || -> io::Result<()> {
-        let mut file = File::create(&temporary)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        fs::rename(&temporary, path)
-    };
-    write().map_err(|source| {
-        // A leftover is harmless, and the first error is the one worth reporting.
-        let _ = fs::remove_file(&temporary);
-        WeightError::Write { path: path.to_owned(), source }
-    })
-}
-
-/// Saves the tensors of one checkpoint file.
+/// Saves the tensors of one checkpoint file, whole or not at all.
 ///
 /// # Errors
 /// [`WeightError::Write`] or [`WeightError::Format`].
 pub fn save<T: Scalar>(path: &Path, params: &Params<T>) -> Result<(), WeightError> {
-    write_atomic(path, &to_bytes(params)?)
+    replace_file(path, &to_bytes(params)?).map_err(|source| WeightError::Write { path: path.to_owned(), source })
 }
 
 /// Loads one checkpoint file into `params`, whose names and dimensions it must have.

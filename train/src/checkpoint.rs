@@ -4,7 +4,6 @@
 //! the single metadata key `dimode`, beside a format number and a checksum. Nothing in the file depends on time, place or
 //! number of threads, so equal content gives equal bytes.
 
-mod atomic;
 mod error;
 mod hash;
 
@@ -14,6 +13,7 @@ use std::io::Read;
 use std::path::Path;
 
 use dimode_autodiff::{Shape, Tensor};
+use dimode_nets::replace_file;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde_json::{Value, json};
 
@@ -51,7 +51,7 @@ impl Checkpoint {
     #[track_caller]
     pub fn write(&self, path: &Path) -> Result<(), CheckpointError> {
         let bytes = self.to_bytes(path)?;
-        atomic::replace(path, &bytes).map_err(|source| CheckpointError::write(path, source))
+        replace_file(path, &bytes).map_err(|source| CheckpointError::write(path, source))
     }
 
     /// Reads a file that [`Checkpoint::write`] wrote.

@@ -213,7 +213,7 @@ fn a_full_disk_leaves_no_half_checkpoint() {
     let run = place.path("run");
     fs::create_dir(&run).unwrap();
     fs::write(run.join("config.toml"), dimode(&["train", "--print-config"]).succeeded()).unwrap();
-    std::os::unix::fs::symlink("/dev/full", run.join(".checkpoint.safetensors.tmp")).unwrap();
+    std::os::unix::fs::symlink("/dev/full", run.join(".checkpoint.safetensors.dimode.tmp")).unwrap();
     place.train("run", &["--steps", "1"]).refused_after_notes(1, &["checkpoint.safetensors", "free some space"]);
     for file in ["checkpoint.safetensors", "config.toml", "log.jsonl"] {
         assert!(!run.join(file).exists(), "{file} of a run that could not begin is left");
