@@ -6,10 +6,11 @@ use clap::{Args, ValueEnum};
 
 use super::failure::Exit;
 use super::options::{Size, preset};
-use super::output;
+use super::{interrupt, output};
 use crate::config::Preset;
 use crate::data::synthetic::{Split, SyntheticConfig};
 use crate::progress::Bar;
+use crate::run::Stopped;
 use crate::run::synth::{SynthRequest, synth};
 
 const LONG_ABOUT: &str = "\
@@ -100,7 +101,11 @@ impl SynthArgs {
             ..SyntheticConfig::default()
         };
         let request = SynthRequest { worlds, out: self.out, overwrite: self.force };
-        let summary = synth(&request, &Bar::new())?;
+        let stop = interrupt::stop_flag("stopping; nothing will be written")?;
+        let summary = match synth(&request, &Bar::new(), &stop) {
+            Err(error) if error.is::<Stopped>() => return Ok(Exit::Interrupted),
+            other => other?,
+        };
         if self.json {
             output::json(&summary)?;
         } else {

@@ -12,14 +12,12 @@
 //! A hidden file `.dimode` tells that the folder was made here.
 
 use std::fs;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use dimode_geometry::Se3;
 
-use super::atomic::{free_staging, is_ours, make_ours};
 use super::calib::format_projection;
-use super::file_dataset::{last_part, sorted_entries};
+use super::staging::Staging;
 use super::{DataError, Dataset, Frame, encode_depth_png, encode_flow_png, encode_rgb_png, format_poses};
 
 /// Seconds between frames of a dataset that does not tell its times: the 10 Hz of KITTI.
@@ -43,73 +41,30 @@ pub struct WriteSummary {
 }
 
 /// Writes all of a dataset to the folder `root`, by way of `root.partial` and a rename, so `root` appears complete or not at
-/// all. `overwrite` allows to replace a folder that this function wrote. After each frame `progress` is told (frames done, all frames).
+/// all. `overwrite` allows to replace a folder that this function wrote. After each frame `progress` is told (frames done, all
+/// frames); an error from it ends the work.
 ///
 /// **Errors** [`DataError::Occupied`] when `root` is not empty and `overwrite` is not set, or it was not written here, or it holds
-/// anything that is not of this layout; [`DataError::Write`] when the system refuses; errors of the dataset. What was begun is removed.
-pub fn write_kitti(
+/// anything that is not of this layout; [`DataError::Write`] when the system refuses; errors of the dataset and of `progress`.
+/// What was begun is removed.
+pub fn write_kitti<E: From<DataError>>(
     dataset: &dyn Dataset,
     root: &Path,
     overwrite: bool,
-    progress: &mut dyn FnMut(usize, usize),
-) -> Result<WriteSummary, DataError> {
-    check_target(root, overwrite)?;
-    let partial = free_staging(root)?;
-    let written = write_all(dataset, &partial, progress).and_then(|summary| {
-        put_in_place(&partial, root)?;
-        Ok(summary)
-    });
-    if written.is_err() {
-        // The first error is the one to tell.
-        let _ = fs::remove_dir_all(&partial);
-    }
-    written
+    progress: &mut dyn FnMut(usize, usize) -> Result<(), E>,
+) -> Result<WriteSummary, E> {
+    let staging = Staging::new(root, overwrite.then_some(&LAYOUT[..]))?;
+    staging.fill(|folder| write_all(dataset, folder, progress))
 }
 
-/// **Errors** [`DataError::Occupied`] unless `folder` is free, empty, or (with `overwrite`) written here.
-fn check_target(folder: &Path, overwrite: bool) -> Result<(), DataError> {
-    if !folder.exists() {
-        return Ok(());
-    }
-    if !folder.is_dir() {
-        return Err(DataError::write(folder, io::Error::from(io::ErrorKind::NotADirectory)));
-    }
-    let entries = sorted_entries(folder, "output folder")?;
-    let replaceable = overwrite && is_ours(folder) && entries.iter().all(|entry| LAYOUT.contains(&last_part(entry).as_str()));
-    if entries.is_empty() || replaceable {
-        return Ok(());
-    }
-    Err(DataError::Occupied { path: folder.to_owned() })
-}
-
-fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
-    path.with_file_name(format!("{}.{suffix}", last_part(path)))
-}
-
-fn remove(folder: &Path) -> Result<(), DataError> {
-    fs::remove_dir_all(folder).map_err(|error| DataError::write(folder, error))
-}
-
-/// Moves the finished folder to its name; an old one steps aside first and is removed last.
-fn put_in_place(partial: &Path, root: &Path) -> Result<(), DataError> {
-    let failed = |error| DataError::write(root, error);
-    if !root.exists() {
-        return fs::rename(partial, root).map_err(failed);
-    }
-    let old = with_suffix(root, "replaced");
-    fs::rename(root, &old).map_err(failed)?;
-    if let Err(error) = fs::rename(partial, root) {
-        let _ = fs::rename(&old, root);
-        return Err(failed(error));
-    }
-    remove(&old)
-}
-
-fn write_all(dataset: &dyn Dataset, root: &Path, progress: &mut dyn FnMut(usize, usize)) -> Result<WriteSummary, DataError> {
+fn write_all<E: From<DataError>>(
+    dataset: &dyn Dataset,
+    root: &Path,
+    progress: &mut dyn FnMut(usize, usize) -> Result<(), E>,
+) -> Result<WriteSummary, E> {
     let count = dataset.sequence_count();
     let total = (0..count).map(|s| dataset.sequence_len(s)).sum();
     let mut writer = Writer { dataset, root, summary: WriteSummary::default() };
-    make_ours(root)?;
     for sequence in 0..count {
         writer.write_sequence(sequence, &mut |done| progress(done, total))?;
     }
@@ -131,7 +86,11 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    fn write_sequence(&mut self, sequence: usize, progress: &mut dyn FnMut(usize)) -> Result<(), DataError> {
+    fn write_sequence<E: From<DataError>>(
+        &mut self,
+        sequence: usize,
+        progress: &mut dyn FnMut(usize) -> Result<(), E>,
+    ) -> Result<(), E> {
         let name = format!("{sequence:02}");
         let len = self.dataset.sequence_len(sequence);
         let folder = self.root.join("sequences").join(&name);
@@ -148,7 +107,7 @@ impl Writer<'_> {
             if index + 1 < len {
                 self.write_flow(&name, sequence, index)?;
             }
-            progress(self.summary.frames);
+            progress(self.summary.frames)?;
         }
         write_file(&folder.join("times.txt"), self.times(sequence, len).as_bytes())?;
         if len > 0 && poses.len() == len {
@@ -248,7 +207,7 @@ mod tests {
     }
 
     fn write(fails: bool, root: &Path, overwrite: bool) -> Result<WriteSummary, DataError> {
-        write_kitti(&Made { fails }, root, overwrite, &mut |_, _| {})
+        write_kitti(&Made { fails }, root, overwrite, &mut |_, _| Ok(()))
     }
 
     #[test]
@@ -256,7 +215,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("out");
         let mut steps = Vec::new();
-        let summary = write_kitti(&Made { fails: false }, &root, false, &mut |done, all| steps.push((done, all))).unwrap();
+        let mut told = |done, all| {
+            steps.push((done, all));
+            Ok::<_, DataError>(())
+        };
+        let summary = write_kitti(&Made { fails: false }, &root, false, &mut told).unwrap();
         assert_eq!(summary, WriteSummary { sequences: 2, frames: 8, depth_maps: 8, flow_maps: 6, pose_files: 2 });
         assert_eq!((steps[0], steps[7]), ((1, 8), (8, 8)));
         let made = Made { fails: false };
@@ -309,34 +272,5 @@ mod tests {
         write(false, &root, true).unwrap();
         assert!(!root.join("sequences/77").exists());
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-    }
-
-    #[test]
-    fn a_folder_with_other_things_is_never_replaced() {
-        let folder = tempfile::tempdir().unwrap();
-        fs::write(folder.path().join("thesis.txt"), "precious").unwrap();
-        assert!(matches!(write(false, folder.path(), true), Err(DataError::Occupied { .. })));
-        assert!(folder.path().join("thesis.txt").exists());
-    }
-
-    #[test]
-    fn leftovers_of_an_interrupted_run_are_cleared_away() {
-        let folder = tempfile::tempdir().unwrap();
-        make_ours(&folder.path().join("out.partial")).unwrap();
-        fs::create_dir_all(folder.path().join("out.partial/sequences/00")).unwrap();
-        write(false, &folder.path().join("out"), false).unwrap();
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-    }
-
-    #[test]
-    fn a_place_that_cannot_be_written_is_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("file");
-        fs::write(&file, "x").unwrap();
-        let message = write(false, &file, true).unwrap_err().to_string();
-        assert!(message.contains("file: cannot be written"), "{message}");
-        let message = write(false, &file.join("out"), false).unwrap_err().to_string();
-        assert!(message.contains("out.partial: cannot be written"), "{message}");
-        assert!(message.contains("a file is in the way"), "{message}");
     }
 }

@@ -3,7 +3,7 @@
 //! Everything here is plain data: no tape, no network. Pixel centres lie at integer coordinates, `u` runs to the right and
 //! `v` down; the camera looks along +z with x right and y down. Ground truth (depth, poses, flow) is carried for evaluation.
 
-pub(crate) mod atomic;
+mod atomic;
 mod augment;
 mod cache;
 mod calib;
@@ -22,6 +22,7 @@ mod open;
 mod options;
 mod poses;
 mod resample;
+pub(crate) mod staging;
 pub mod synthetic;
 mod text;
 mod times;

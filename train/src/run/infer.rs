@@ -9,7 +9,7 @@ use dimode_geometry::Trajectory;
 use serde::Serialize;
 
 use super::{Stopped, TrainedModel, open_frames};
-use crate::data::atomic::{free_staging, make_ours};
+use crate::data::staging::Staging;
 use crate::data::{DataError, Dataset, Map, write_atomic, write_depth_png};
 use crate::progress::Progress;
 use crate::report::picture::Picture;
@@ -50,35 +50,12 @@ pub struct SequenceSummary {
 ///
 /// **Errors** of the run, of the data, what the system refuses, and [`Stopped`] soon after `stop` is set.
 pub fn infer(request: &InferRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<SequenceSummary>> {
-    let out = std::path::absolute(&request.out).map_err(|error| DataError::write(&request.out, error))?;
-    check_free(&out)?;
+    let staging = Staging::new(&request.out, None)?;
     let model = TrainedModel::load(&request.run)?;
     let mut data = model.config.data.clone();
     data.sequences.clone_from(&request.sequences);
     let dataset = open_frames(&request.data, &data, 1)?;
-    let staging = free_staging(&out)?;
-    let written = make_ours(&staging).map_err(Into::into);
-    let written = written.and_then(|()| write_all(&model, dataset.as_ref(), &staging, progress, stop)).and_then(|summaries| {
-        put_in_place(&staging, &out)?;
-        Ok(summaries)
-    });
-    if written.is_err() {
-        // The first error is the one to tell.
-        let _ = fs::remove_dir_all(&staging);
-    }
-    written
-}
-
-fn check_free(out: &Path) -> Result<(), DataError> {
-    let filled = fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
-    if filled || out.is_file() { Err(DataError::Occupied { path: out.to_owned() }) } else { Ok(()) }
-}
-
-fn put_in_place(staging: &Path, out: &Path) -> Result<(), DataError> {
-    if out.exists() {
-        fs::remove_dir(out).map_err(|error| DataError::write(out, error))?;
-    }
-    fs::rename(staging, out).map_err(|error| DataError::write(out, error))
+    staging.fill(|folder| write_all(&model, dataset.as_ref(), folder, progress, stop))
 }
 
 fn write_all(

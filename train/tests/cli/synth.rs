@@ -76,3 +76,22 @@ fn settings_out_of_range_write_nothing() {
     dimode(&["synth", "--size", "4x4", "--out", text(&out)]).refused(2, &["width = 4"]);
     assert_eq!(fs::read_dir(place.path()).unwrap().count(), 0);
 }
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_with_130_and_leaves_nothing() {
+    use crate::training::{signal, wait_until};
+    use crate::{command, finished};
+    use std::process::Stdio;
+
+    let place = tempfile::tempdir().unwrap();
+    let (out, partial) = (place.path().join("worlds"), place.path().join("worlds.partial"));
+    let flags = ["synth", "--frames", "5000", "--size", "32x16", "--out", text(&out)];
+    let mut child = command(&flags).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    wait_until(&mut child, || partial.join("sequences/00/image_2/000000.png").exists());
+    signal(&child, "-INT");
+    let ran = finished(child.wait_with_output().unwrap());
+    assert_eq!(ran.code, 130, "{}", ran.err);
+    assert!(ran.err.contains("nothing will be written"), "{}", ran.err);
+    assert_eq!(fs::read_dir(place.path()).unwrap().count(), 0);
+}

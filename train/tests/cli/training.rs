@@ -68,7 +68,7 @@ fn step_of(checkpoint: &Path) -> u64 {
 }
 
 #[track_caller]
-fn wait_until(child: &mut Child, what: impl Fn() -> bool) {
+pub fn wait_until(child: &mut Child, what: impl Fn() -> bool) {
     let began = Instant::now();
     while !what() && child.try_wait().unwrap().is_none() {
         assert!(began.elapsed() < Duration::from_secs(120), "waited too long");
@@ -77,7 +77,7 @@ fn wait_until(child: &mut Child, what: impl Fn() -> bool) {
 }
 
 #[cfg(unix)]
-fn signal(child: &Child, name: &str) {
+pub fn signal(child: &Child, name: &str) {
     let sent = std::process::Command::new("kill").args([name, &child.id().to_string()]).status();
     assert!(sent.unwrap().success());
 }

@@ -1,0 +1,226 @@
+//! Folders that appear whole or not at all.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::DataError;
+
+/// A file that says that a folder was made by this program and may be replaced by it.
+const MARKER: &str = ".dimode";
+
+/// A place for a folder whose content is prepared beside it, in `NAME.partial`.
+#[derive(Debug)]
+pub(crate) struct Staging<'a> {
+    /// The place as the user names it.
+    named: PathBuf,
+    /// The same, absolute.
+    place: PathBuf,
+    /// What an earlier folder at the place may hold if it is to be replaced.
+    replaceable: Option<&'a [&'a str]>,
+}
+
+impl<'a> Staging<'a> {
+    /// A place that must be free: nothing there, or an empty folder. Where `replaceable` is given, a folder that an earlier
+    /// [`Staging::fill`] made will be replaced if it holds nothing but entries of these names. Touches nothing.
+    ///
+    /// **Errors** [`DataError::Occupied`] when the place is taken, [`DataError::Write`] when a file is there or the system refuses.
+    pub fn new(place: &Path, replaceable: Option<&'a [&'a str]>) -> Result<Self, DataError> {
+        let named = place.to_owned();
+        let place = std::path::absolute(place).map_err(|error| DataError::write(&named, error))?;
+        let staging = Self { named, place, replaceable };
+        staging.check_place()?;
+        Ok(staging)
+    }
+
+    /// Lets `content` write into the folder that then takes the place. What was begun is removed after an error.
+    ///
+    /// **Errors** those of `content`; [`DataError::Occupied`] when the place, or `NAME.partial`, was taken by something else;
+    /// [`DataError::Write`] when the system refuses.
+    pub fn fill<R, E: From<DataError>>(&self, content: impl FnOnce(&Path) -> Result<R, E>) -> Result<R, E> {
+        let partial = self.beside("partial");
+        clear_partial(&partial)?;
+        let filled = make_ours(&partial).map_err(E::from).and_then(|()| content(&partial)).and_then(|filled| {
+            self.put_in_place(&partial)?;
+            Ok(filled)
+        });
+        if filled.is_err() {
+            // The first error is the one to tell.
+            let _ = fs::remove_dir_all(&partial);
+        }
+        filled
+    }
+
+    fn check_place(&self) -> Result<(), DataError> {
+        match entries(&self.place) {
+            Ok(names) if names.is_empty() || self.may_replace(&names) => Ok(()),
+            Ok(_) => Err(DataError::Occupied { path: self.named.clone() }),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            Err(error) => Err(DataError::write(&self.named, error)),
+        }
+    }
+
+    fn may_replace(&self, names: &[String]) -> bool {
+        let known = |name: &String| name == MARKER || self.replaceable.is_some_and(|all| all.contains(&name.as_str()));
+        self.replaceable.is_some() && is_ours(&self.place) && names.iter().all(known)
+    }
+
+    /// Moves the finished folder to its name; an old one steps aside first and is removed last.
+    fn put_in_place(&self, partial: &Path) -> Result<(), DataError> {
+        let failed = |error| DataError::write(&self.named, error);
+        // The work took time: somebody may have put something there.
+        self.check_place()?;
+        match fs::remove_dir(&self.place) {
+            Ok(()) => return fs::rename(partial, &self.place).map_err(failed),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return fs::rename(partial, &self.place).map_err(failed),
+            Err(_) => {}
+        }
+        let old = self.beside("replaced");
+        fs::rename(&self.place, &old).map_err(|error| DataError::write(&old, error))?;
+        if let Err(error) = fs::rename(partial, &self.place) {
+            let _ = fs::rename(&old, &self.place);
+            return Err(failed(error));
+        }
+        fs::remove_dir_all(&old).map_err(|error| DataError::write(&old, error))
+    }
+
+    fn beside(&self, suffix: &str) -> PathBuf {
+        let name = self.place.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        self.place.with_file_name(format!("{name}.{suffix}"))
+    }
+}
+
+/// Names of everything in a folder, hidden files too.
+fn entries(folder: &Path) -> io::Result<Vec<String>> {
+    fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
+}
+
+/// Removes what an interrupted command left.
+fn clear_partial(partial: &Path) -> Result<(), DataError> {
+    if !partial.exists() {
+        return Ok(());
+    }
+    if !is_ours(partial) {
+        return Err(DataError::Occupied { path: partial.to_owned() });
+    }
+    fs::remove_dir_all(partial).map_err(|error| DataError::write(partial, error))
+}
+
+/// Makes a folder that [`is_ours`] tells from others.
+fn make_ours(folder: &Path) -> Result<(), DataError> {
+    let marked =
+        fs::create_dir_all(folder).and_then(|()| fs::write(folder.join(MARKER), "Written by dimode, may be replaced by it.\n"));
+    marked.map_err(|error| DataError::write(folder, error))
+}
+
+fn is_ours(folder: &Path) -> bool {
+    folder.join(MARKER).is_file()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FORM: &[&str] = &["a"];
+
+    /// Writes `a/TEXT` to `out`, where an earlier folder of that form may be replaced if asked for.
+    fn write(out: &Path, text: &str, replace: bool) -> Result<(), DataError> {
+        Staging::new(out, replace.then_some(FORM))?.fill(|folder| {
+            fs::create_dir(folder.join("a")).unwrap();
+            fs::write(folder.join("a").join(text), "x").unwrap();
+            Ok(())
+        })
+    }
+
+    fn count(folder: &Path) -> usize {
+        fs::read_dir(folder).unwrap().count()
+    }
+
+    #[test]
+    fn a_free_place_or_an_empty_folder_is_taken() {
+        let place = tempfile::tempdir().unwrap();
+        let out = place.path().join("deep/out");
+        write(&out, "1", false).unwrap();
+        assert!(out.join("a/1").is_file());
+        let empty = place.path().join("empty");
+        fs::create_dir(&empty).unwrap();
+        write(&empty, "1", false).unwrap();
+        assert!(empty.join("a/1").is_file());
+        assert_eq!(count(place.path()), 2);
+    }
+
+    #[test]
+    fn only_a_folder_of_the_same_form_is_replaced_and_only_on_request() {
+        let place = tempfile::tempdir().unwrap();
+        let out = place.path().join("out");
+        write(&out, "1", false).unwrap();
+        let message = write(&out, "2", false).unwrap_err().to_string();
+        assert!(message.contains("out: exists and is not empty"), "{message}");
+        write(&out, "2", true).unwrap();
+        assert!(out.join("a/2").is_file() && !out.join("a/1").exists());
+        fs::write(out.join("thesis.txt"), "precious").unwrap();
+        assert!(matches!(write(&out, "3", true), Err(DataError::Occupied { .. })));
+        assert!(out.join("thesis.txt").exists());
+        assert_eq!(count(place.path()), 1);
+    }
+
+    #[test]
+    fn hidden_files_of_others_are_kept() {
+        let place = tempfile::tempdir().unwrap();
+        let out = place.path().join("out");
+        fs::create_dir_all(out.join(".git")).unwrap();
+        for replace in [false, true] {
+            assert!(matches!(write(&out, "1", replace), Err(DataError::Occupied { .. })));
+        }
+        assert!(out.join(".git").exists());
+    }
+
+    #[test]
+    fn what_came_in_the_meantime_is_kept() {
+        let place = tempfile::tempdir().unwrap();
+        let out = place.path().join("out");
+        let staging = Staging::new(&out, None).unwrap();
+        let filled = staging.fill(|_| {
+            fs::create_dir(&out).unwrap();
+            fs::write(out.join("mine.txt"), "x").unwrap();
+            Ok::<_, DataError>(())
+        });
+        assert!(matches!(filled, Err(DataError::Occupied { .. })));
+        assert!(out.join("mine.txt").exists());
+        assert_eq!(count(place.path()), 1);
+    }
+
+    #[test]
+    fn a_failure_leaves_nothing_behind() {
+        let place = tempfile::tempdir().unwrap();
+        let staging = Staging::new(&place.path().join("out"), None).unwrap();
+        let failure = staging.fill(|_| Err::<(), _>(DataError::malformed(Path::new("x"), "fails", "nothing")));
+        assert!(failure.is_err());
+        assert_eq!(count(place.path()), 0);
+    }
+
+    #[test]
+    fn only_our_own_leftovers_are_removed() {
+        let place = tempfile::tempdir().unwrap();
+        let (out, partial) = (place.path().join("out"), place.path().join("out.partial"));
+        make_ours(&partial).unwrap();
+        fs::create_dir_all(partial.join("a/deep")).unwrap();
+        write(&out, "1", false).unwrap();
+        assert_eq!(count(place.path()), 1);
+        fs::create_dir(&partial).unwrap();
+        let message = write(&out, "2", true).unwrap_err().to_string();
+        assert!(message.contains("out.partial") && partial.exists(), "{message}");
+    }
+
+    #[test]
+    fn a_place_that_cannot_be_written_is_named() {
+        let place = tempfile::tempdir().unwrap();
+        let file = place.path().join("file");
+        fs::write(&file, "x").unwrap();
+        let message = write(&file, "1", true).unwrap_err().to_string();
+        assert!(message.contains("file: cannot be written"), "{message}");
+        let message = write(&file.join("out"), "1", false).unwrap_err().to_string();
+        assert!(message.contains("cannot be written"), "{message}");
+        assert!(message.contains("a file is in the way"), "{message}");
+    }
+}
