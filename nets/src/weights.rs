@@ -16,6 +16,8 @@ use crate::{ParamSet, Params, replace_file};
 const COUNTER: &str = "num_batches_tracked";
 /// Prefix added by the data-parallel wrapper of the reference.
 const WRAPPER: &str = "module.";
+/// How many differences of each kind a message names.
+const NAMED: usize = 3;
 
 /// A tensor whose dimensions differ from those the network expects.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -65,7 +67,8 @@ pub enum WeightError {
         /// The stored type.
         dtype: String,
     },
-    /// Names or dimensions differ from those of the network. All differences are listed.
+    /// Names or dimensions differ from those of the network. The fields hold all differences; the message counts them and names
+    /// the first few of each kind.
     #[error("{}", describe(origin, missing, extra, misshapen))]
     Mismatch {
         /// Where the tensors came from.
@@ -79,19 +82,16 @@ pub enum WeightError {
     },
 }
 
-fn describe(origin: &str, missing: &[String], extra: &[String], wrong: &[Misshapen]) -> String {
-    let mut parts = vec![format!("{origin} does not fit the network")];
-    if !missing.is_empty() {
-        parts.push(format!("missing: {}", missing.join(", ")));
-    }
-    if !extra.is_empty() {
-        parts.push(format!("not known: {}", extra.join(", ")));
-    }
-    for m in wrong {
-        let Misshapen { name, expected, found } = m;
-        parts.push(format!("{name}: expected {expected:?}, found {found:?}"));
-    }
-    parts.join("; ")
+fn describe(origin: &str, missing: &[String], extra: &[String], misshapen: &[Misshapen]) -> String {
+    let size = |m: &Misshapen| format!("{} {:?} instead of {:?}", m.name, m.found, m.expected);
+    let sizes: Vec<String> = misshapen.iter().map(size).collect();
+    let kinds = [("missing", missing), ("not known", extra), ("of another size", &sizes)];
+    let told = kinds.into_iter().filter(|(_, all)| !all.is_empty()).map(|(kind, all)| {
+        let (first, rest) = all.split_at(all.len().min(NAMED));
+        let more = if rest.is_empty() { "" } else { ", ..." };
+        format!("{} {kind} ({}{more})", all.len(), first.join(", "))
+    });
+    format!("{origin} does not fit the network, tensors: {}", told.collect::<Vec<_>>().join(", "))
 }
 
 /// One tensor of a safetensors file, widened to f64.

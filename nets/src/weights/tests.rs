@@ -43,7 +43,7 @@ fn saved_weights_come_back_bit_for_bit() {
 }
 
 #[test]
-fn all_differences_are_listed_and_nothing_changes() {
+fn all_differences_are_kept_and_nothing_changes() {
     let mut params = blueprint().init::<f64>(1).file("net").unwrap().clone();
     let before = params.get("conv.weight").unwrap().tensor().to_vec();
     let stored = |name: &str, dims: &[usize]| StoredTensor {
@@ -65,6 +65,17 @@ fn all_differences_are_listed_and_nothing_changes() {
         assert!(text.contains(part), "{text}");
     }
     assert_eq!(params.get("conv.weight").unwrap().tensor().to_vec(), before);
+}
+
+#[test]
+fn a_message_counts_the_differences_and_names_the_first_three() {
+    let names = |count: usize| -> Vec<String> { (0..count).map(|i| format!("w{i}")).collect() };
+    let wrong = |name| Misshapen { name, expected: vec![2], found: vec![3] };
+    let misshapen = names(1).into_iter().map(wrong).collect();
+    let error = WeightError::Mismatch { origin: "a file".into(), missing: names(120), extra: names(3), misshapen };
+    let expected = "a file does not fit the network, tensors: 120 missing (w0, w1, w2, ...), 3 not known (w0, w1, w2), \
+                    1 of another size (w0 [3] instead of [2])";
+    assert_eq!(error.to_string(), expected);
 }
 
 #[test]

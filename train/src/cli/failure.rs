@@ -12,6 +12,7 @@ use crate::eval::EvalError;
 use crate::non_finite::NonFinite;
 use crate::report::ReportError;
 use crate::run::RunError;
+use crate::run::first_weights::FirstWeightsError;
 
 /// How the process ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -105,6 +106,7 @@ fn has_advice(cause: &(dyn std::error::Error + 'static)) -> bool {
         || cause.is::<ConfigError>()
         || cause.is::<CheckpointError>()
         || cause.is::<RunError>()
+        || cause.is::<FirstWeightsError>()
         || cause.is::<UsageError>()
         || cause.is::<EvalError>()
         || cause.is::<ReportError>()

@@ -1,7 +1,8 @@
 //! Where the first weights of the flow and the pose network come from.
 
-use anyhow::{Context, Result, bail};
-use dimode_nets::{FlowNetKind, ParamSet, PoseNetKind, weights};
+use anyhow::Result;
+use dimode_nets::{ParamSet, WeightError, weights};
+use thiserror::Error;
 
 use crate::config::{FirstWeights, NetsConfig};
 use crate::data::DataError;
@@ -15,10 +16,22 @@ const POSE: [(&str, &[u8]); 2] = [
     ("pose", include_bytes!("../../assets/pose_nano/pose.safetensors")),
 ];
 
+/// First weights that cannot be used.
+#[derive(Debug, Error)]
+#[error("{setting}: {source}; {advice}")]
+pub struct FirstWeightsError {
+    /// The setting that names them.
+    pub setting: &'static str,
+    /// What is wrong with which file.
+    pub source: WeightError,
+    /// What to write instead.
+    pub advice: &'static str,
+}
+
 /// Finds out before anything is written whether the weights that the configuration names can be used.
 ///
 /// # Errors
-/// As [`load_first_weights`]; [`DataError::Malformed`] for a file.
+/// As [`load_first_weights`]; [`DataError::Missing`] when nothing is where the configuration points.
 pub fn check_first_weights(nets: &NetsConfig) -> Result<()> {
     if let FirstWeights::File(path) = &nets.flow_weights
         && !path.is_file()
@@ -32,62 +45,67 @@ pub fn check_first_weights(nets: &NetsConfig) -> Result<()> {
         let advice = "check nets.pose_weights: embedded, random or a folder that 'dimode pretrain pose' wrote".to_owned();
         return Err(DataError::Missing { path: path.clone(), what: "pose weights".to_owned(), advice }.into());
     }
-    let mut fresh = Model::new(nets).init(0);
-    let explain = |loaded: Result<()>, from: &FirstWeights, advice: &str| match from {
-        FirstWeights::File(path) => {
-            loaded.map_err(|error| DataError::malformed(path, format!("{error:#}"), advice.to_owned()).into())
-        }
-        _ => loaded,
-    };
-    let advice = "name a file that 'dimode pretrain flow' wrote for this size of network, or leave nets.flow_weights out";
-    explain(load_flow_weights(nets, &mut fresh.flow), &nets.flow_weights, advice)?;
-    let advice = "name a folder that 'dimode pretrain pose' wrote for this size of network, or leave nets.pose_weights out";
-    explain(load_pose_weights(nets, &mut fresh.pose), &nets.pose_weights, advice)
+    Ok(load_first_weights(nets, &mut Model::new(nets).init(0))?)
 }
 
 /// Replaces fresh weights of the flow and the pose network by those that the configuration names.
 ///
 /// # Errors
 /// When no weights are embedded for this size, or a file cannot be read or does not fit.
-pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<()> {
-    load_flow_weights(nets, &mut fresh.flow)?;
-    load_pose_weights(nets, &mut fresh.pose)
+pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<(), FirstWeightsError> {
+    load_flow_weights(&nets.flow_weights, &mut fresh.flow).map_err(|source| FirstWeightsError {
+        setting: "nets.flow_weights",
+        source,
+        advice: "name a file that 'dimode pretrain flow' wrote for this size of network, or leave nets.flow_weights out",
+    })?;
+    load_pose_weights(&nets.pose_weights, &mut fresh.pose).map_err(|source| FirstWeightsError {
+        setting: "nets.pose_weights",
+        source,
+        advice: "name a folder that 'dimode pretrain pose' wrote for this size of network, or leave nets.pose_weights out",
+    })
 }
 
-fn load_flow_weights(nets: &NetsConfig, set: &mut ParamSet<f32>) -> Result<()> {
-    match &nets.flow_weights {
+fn load_flow_weights(from: &FirstWeights, set: &mut ParamSet<f32>) -> Result<(), WeightError> {
+    match from {
         FirstWeights::Random => Ok(()),
-        FirstWeights::Embedded if nets.flow != FlowNetKind::NanoRaftD4 => bail!(
-            "nets.flow_weights: no weights for {} are part of the program; make some with `dimode pretrain flow` and name the \
-             file, or say \"random\"",
-            nets.flow
-        ),
         FirstWeights::Embedded => embedded(set, &[("raft", FLOW)]),
-        FirstWeights::File(path) => {
-            weights::load(path, set.file_mut("raft")).with_context(|| format!("nets.flow_weights: {}", path.display()))
-        }
+        FirstWeights::File(path) => weights::load(path, set.file_mut("raft")),
     }
 }
 
-fn load_pose_weights(nets: &NetsConfig, set: &mut ParamSet<f32>) -> Result<()> {
-    match &nets.pose_weights {
+fn load_pose_weights(from: &FirstWeights, set: &mut ParamSet<f32>) -> Result<(), WeightError> {
+    match from {
         FirstWeights::Random => Ok(()),
-        FirstWeights::Embedded if nets.pose != PoseNetKind::Nano => bail!(
-            "nets.pose_weights: no weights for {} are part of the program; make some with `dimode pretrain pose` and name the \
-             folder, or say \"random\"",
-            nets.pose
-        ),
         FirstWeights::Embedded => embedded(set, &POSE),
-        FirstWeights::File(path) => {
-            weights::load_directory(path, set).with_context(|| format!("nets.pose_weights: {}", path.display()))
-        }
+        FirstWeights::File(path) => weights::load_directory(path, set),
     }
 }
 
-fn embedded(set: &mut ParamSet<f32>, files: &[(&str, &[u8])]) -> Result<()> {
+fn embedded(set: &mut ParamSet<f32>, files: &[(&str, &[u8])]) -> Result<(), WeightError> {
     for (file, bytes) in files {
         let origin = format!("embedded weights {file}");
         weights::assign(set.file_mut(file), weights::parse(bytes, &origin)?, &origin)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dimode_nets::PoseNetKind;
+
+    #[test]
+    fn weights_of_another_network_are_told_in_a_line_that_names_the_place_once() {
+        let place = tempfile::tempdir().unwrap();
+        let small = NetsConfig::default();
+        weights::save_directory(place.path(), &Model::new(&small).init(0).pose).unwrap();
+        let pose_weights = FirstWeights::File(place.path().to_owned());
+        let nets = NetsConfig { pose: PoseNetKind::Resnet18, pose_weights, ..small };
+        let message = check_first_weights(&nets).unwrap_err().to_string();
+        assert!(message.starts_with("nets.pose_weights: "), "{message}");
+        assert!(message.ends_with("or leave nets.pose_weights out"), "{message}");
+        assert!(message.contains("pose_encoder.safetensors does not fit the network"), "{message}");
+        assert_eq!(message.matches(place.path().to_str().unwrap()).count(), 1, "{message}");
+        assert!(message.len() < 600, "{message}");
+    }
 }
