@@ -10,6 +10,7 @@
 //! A folder without frames of its own may hold several such folders, one a sequence; a sequence without an intrinsics file
 //! uses that of the folder above.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::DataError;
@@ -21,7 +22,7 @@ use super::times::read_times;
 
 /// Opens a folder of frames, or a folder of such folders, and checks all of it but the pixels.
 ///
-/// **Errors** name the file: no frames, fewer than asked for, different sizes, truncated files; a missing intrinsics file (with
+/// **Errors** name the file: no frames, fewer than asked for, two of one name, different sizes, truncated files; a missing intrinsics file (with
 /// an example of one), its faults, intrinsics of another shape; faults of the poses and times and counts that differ.
 pub fn open_folder(root: &Path, options: &LoadOptions) -> Result<FileDataset, DataError> {
     options.check()?;
@@ -84,6 +85,7 @@ fn sequence_folders(root: &Path, wanted: &[String]) -> Result<Vec<PathBuf>, Data
 fn open_sequence(root: &Path, folder: &Path, min_frames: usize) -> Result<FileSequence, DataError> {
     let images = frames_folder(folder)?.unwrap_or_else(|| folder.to_owned());
     let files = image_files(&images)?;
+    check_names(&files)?;
     let (width, height) = common_size(&images, &files, min_frames)?;
     let camera_file = intrinsics_path(root, folder)?;
     let intrinsics = IntrinsicsFile::read(&camera_file)?.camera(&camera_file, width, height)?;
@@ -99,6 +101,18 @@ fn open_sequence(root: &Path, folder: &Path, min_frames: usize) -> Result<FileSe
     }
     let depth = vec![None; files.len()];
     Ok(FileSequence { name: last_part(folder), files, intrinsics, poses, times, depth })
+}
+
+/// **Errors** when two files differ in their extension only: what is written for a frame goes by its name without it.
+fn check_names(files: &[PathBuf]) -> Result<(), DataError> {
+    let mut seen = HashMap::new();
+    for file in files {
+        if let Some(other) = seen.insert(file.file_stem(), file) {
+            let reason = format!("the same frame name as {}", last_part(other));
+            return Err(DataError::malformed(file, reason, "rename or remove one of the two"));
+        }
+    }
+    Ok(())
 }
 
 fn intrinsics_path(root: &Path, folder: &Path) -> Result<PathBuf, DataError> {
@@ -203,6 +217,14 @@ mod tests {
         assert!(message(&folder).contains("poses.txt: 1 poses, but 4 frames in"));
         fs::write(folder.path().join("poses.txt"), "1 0 0 0 0 1 0 0 0 0 2 2\n").unwrap();
         assert!(message(&folder).contains("poses.txt:1: R^T R deviates from I by 3.0e0"));
+    }
+
+    #[test]
+    fn two_frames_of_one_name_are_refused() {
+        let folder = layout();
+        fs::copy(folder.path().join("10.png"), folder.path().join("10.JPG")).unwrap();
+        let message = message(&folder);
+        assert!(message.contains("10.png: the same frame name as 10.JPG; rename or remove one"), "{message}");
     }
 
     #[test]
