@@ -1,37 +1,77 @@
-//! Warp, photometric error and minimum over sources, forward and backward, at 640 x 192 and at nano size.
+//! The loss core, forward and backward, at 640 x 192 and at nano size: warp, photometric error and minimum over sources; then the
+//! aligned pair with L_pla, L_axi, L_tan and L_rad, in the literal form and in the one that training uses by default.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dimode::losses::flow_photometric::pixel_grid;
+use dimode::config::GeometricConfig;
 use dimode::losses::min_reprojection::min_reprojection;
 use dimode::losses::photometric::photometric;
-use dimode_autodiff::gradcheck::random;
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
-use dimode_autodiff::{Pool, Shape, Tape};
+use dimode_autodiff::rng::uniform;
+use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
 use dimode_benches::random_images;
-use dimode_geometry::{Intrinsics, taped};
+use dimode_geometry::Intrinsics;
+use dimode_geometry::losses::{AlignedPair, PairInputs, axial, planar, radial, tangential};
+use dimode_geometry::taped::{self, Pose, RotationForm, masks};
 
-fn photometric_core(c: &mut Criterion) {
-    for (n, h, w) in [(1, 192, 640), (4, 192, 640), (8, 64, 128)] {
-        let shape = Shape::new(n, 3, h, w);
-        let images = random_images(shape);
-        let depth = random::<f32>(4, shape.with_c(1), 2.0, 40.0);
-        let rotation = random::<f32>(5, Shape::new(n, 3, 1, 1), -0.01, 0.01);
-        let translation = random::<f32>(6, Shape::new(n, 3, 1, 1), -0.5, 0.5);
+/// Samples, height, width.
+const SIZES: [(usize, usize, usize); 3] = [(1, 192, 640), (4, 192, 640), (8, 64, 128)];
+
+/// Random depths and motions before one camera.
+struct Scene {
+    depth: Tensor<f32>,
+    source_depth: Tensor<f32>,
+    rotation: Tensor<f32>,
+    translation: Tensor<f32>,
+    cameras: Vec<Intrinsics>,
+}
+
+impl Scene {
+    fn new(n: usize, h: usize, w: usize) -> Self {
+        let (map, vector) = (Shape::new(n, 1, h, w), Shape::new(n, 3, 1, 1));
         let focal = 0.6 * w as f64;
         let camera = Intrinsics::new(focal, focal, w as f64 / 2.0, h as f64 / 2.0, w, h).expect("a sane camera");
-        let cameras = vec![camera; n];
+        Self {
+            depth: uniform(4, map, 2.0, 40.0),
+            source_depth: uniform(7, map, 2.0, 40.0),
+            rotation: uniform(5, vector, -0.01, 0.01),
+            translation: uniform(6, vector, -0.5, 0.5),
+            cameras: vec![camera; n],
+        }
+    }
+
+    /// Depth and motion as leaves of a tape.
+    fn leaves<'t>(&self, tape: &'t Tape<f32>) -> [Var<'t, f32>; 3] {
+        [&self.depth, &self.rotation, &self.translation].map(|values| tape.leaf(values.clone()))
+    }
+
+    /// The flow of the scene, half a pixel off.
+    fn observed_flow(&self) -> Tensor<f32> {
+        let tape = Tape::new();
+        let [depth, rotation, translation] = self.leaves(&tape);
+        let Pose { rotation, translation } = pose(rotation, translation, false);
+        let flow = taped::rigid_flow(depth, rotation, translation, &self.cameras).slice(1, 0, 2);
+        flow.add(tape.constant(uniform(8, flow.shape(), -0.5, 0.5))).value()
+    }
+}
+
+fn pose<'t>(rotation: Var<'t, f32>, translation: Var<'t, f32>, invert: bool) -> Pose<'t, f32> {
+    taped::source_from_target(rotation, translation, invert, RotationForm::Exponential)
+}
+
+fn photometric_core(c: &mut Criterion) {
+    for (n, h, w) in SIZES {
+        let scene = Scene::new(n, h, w);
+        let images = random_images(Shape::new(n, 3, h, w));
         let pool = Pool::new();
         c.bench_function(&format!("warp + photometric + minimum/{w}x{h} b{n}"), |b| {
             b.iter(|| {
                 let tape = Tape::with_pool(pool.clone());
-                let (depth, w, t) = (tape.leaf(depth.clone()), tape.leaf(rotation.clone()), tape.leaf(translation.clone()));
+                let [depth, rotation, translation] = scene.leaves(&tape);
                 let target = tape.constant(images.target.clone());
-                let grid = tape.constant(pixel_grid(depth.shape()));
-                let error = |source: &dimode_autodiff::Tensor<f32>, invert| {
-                    let pose = taped::source_from_target(w, t, invert, taped::RotationForm::Exponential);
-                    let rigid = taped::rigid_flow(depth, pose.rotation, pose.translation, &cameras);
-                    let coords = rigid.slice(1, 0, 2).add(grid);
-                    photometric(tape.constant(source.clone()).bilinear_sample(coords, SamplePadding::Border), target)
+                let error = |source: &Tensor<f32>, invert| {
+                    let Pose { rotation, translation } = pose(rotation, translation, invert);
+                    let flow = taped::rigid_flow(depth, rotation, translation, &scene.cameras).slice(1, 0, 2);
+                    photometric(taped::warp(tape.constant(source.clone()), flow, SamplePadding::Border), target)
                 };
                 let errors = [error(&images.previous, true), error(&images.next, false)];
                 tape.backward(min_reprojection(&errors, &[]).error.mean())
@@ -40,5 +80,35 @@ fn photometric_core(c: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, photometric_core);
+fn geometric_core(c: &mut Criterion) {
+    for (form, config) in [("literal", GeometricConfig::literal()), ("default", GeometricConfig::default())] {
+        let options = config.options();
+        for (n, h, w) in SIZES {
+            let scene = Scene::new(n, h, w);
+            let (flow, mask) = (scene.observed_flow(), masks::everywhere(scene.depth.shape()));
+            let pool = Pool::new();
+            c.bench_function(&format!("aligned pair + four losses, {form}/{w}x{h} b{n}"), |b| {
+                b.iter(|| {
+                    let tape = Tape::with_pool(pool.clone());
+                    let [target_depth, rotation, translation] = scene.leaves(&tape);
+                    let Pose { rotation, translation } = pose(rotation, translation, false);
+                    let inputs = PairInputs {
+                        target_depth,
+                        source_depth: tape.leaf(scene.source_depth.clone()),
+                        flow: tape.constant(flow.clone()),
+                        rotation,
+                        translation,
+                        intrinsics: &scene.cameras,
+                        mask: &mask,
+                    };
+                    let pair = AlignedPair::new(&inputs, &options);
+                    let losses = [planar, axial, tangential, radial].map(|loss| loss(&pair, &options).mean);
+                    tape.backward(losses.into_iter().reduce(Var::add).expect("four losses"))
+                });
+            });
+        }
+    }
+}
+
+criterion_group!(benches, photometric_core, geometric_core);
 criterion_main!(benches);
