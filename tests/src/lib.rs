@@ -1,9 +1,20 @@
-//! Reference numbers with their origin.
+//! Reference numbers with their origin, and the one loader that reads them.
 //!
-//! The numbers lie under `golden/`; the README of each folder says how they were made and who reads them:
+//! The numbers lie under `golden/`; the README of each folder says how they were made. Each folder has a test of its own,
+//! named after what it proves:
 //!
-//! - `losses`: tensors and gradients of sampling, pose, masks and losses, read by `autodiff`, `geometry` and `train`;
-//! - `networks`: activations and gradients of the nano networks, read by `nets`;
-//! - `evaluation`: depth and trajectory metrics, read by `train`.
+//! | folder | content | test |
+//! |---|---|---|
+//! | `golden/losses` | sampling, poses, masks and losses with their gradients | `loss_parity` |
+//! | `golden/networks` | activations and gradients of networks | `network_parity` |
+//! | `golden/evaluation` | depth and trajectory metrics | `evaluation_parity` |
 //!
-//! They are kept outside those crates because several of them read the same folder.
+//! [`Golden`] reads tensors, [`json`] reads tables, and [`find`] says where a file lies. Their messages end a test, so they
+//! panic. A set that is too large for the repository, or may not be part of it, is looked for in the folder named by
+//! [`FURTHER_SETS`]; tests of it ask [`available`] first.
+
+mod files;
+mod golden;
+
+pub use files::{FURTHER_SETS, available, find, json, path};
+pub use golden::{Golden, Stored};

@@ -1,12 +1,7 @@
-//! Known answers, limits, and agreement with Monodepth2's evaluation.
-
-use std::path::Path;
-
-use safetensors::SafeTensors;
+//! Known answers and limits.
 
 use super::*;
 use crate::eval::depth_protocol::Crop;
-use crate::eval::resize::{invert, resize_bilinear};
 
 fn map(height: usize, width: usize, data: &[f32]) -> Map {
     Map { height, width, data: data.to_vec() }
@@ -113,86 +108,4 @@ fn errors_name_the_place() {
     assert!(matches!(evaluator.finish(), Err(EvalError::NoValidPixels { images: 1 })));
     let wrong = DepthProtocol { max_depth: 0.0, ..unscaled() };
     assert!(DepthEvaluator::new(wrong).is_err());
-}
-
-const GOLDEN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/evaluation");
-
-fn read_json(path: &Path) -> serde_json::Value {
-    let text = std::fs::read_to_string(path).expect("golden file");
-    serde_json::from_str(&text).expect("golden JSON")
-}
-
-fn floats(file: &SafeTensors<'_>, name: &str) -> Vec<f32> {
-    let bytes = file.tensor(name).expect("golden tensor").data();
-    bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
-}
-
-/// Sparse ground truth on a 64 x 208 grid.
-fn sparse_truth(file: &SafeTensors<'_>, scene: &str) -> Map {
-    let bytes = file.tensor(&format!("{scene}.gt_index")).expect("index").data();
-    let index = bytes.chunks_exact(4).map(|b| i32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-    let mut truth = map(64, 208, &[0.0; 64 * 208]);
-    for (i, depth) in index.zip(floats(file, &format!("{scene}.gt_depth"))) {
-        truth.data[i as usize] = depth;
-    }
-    truth
-}
-
-fn golden_protocols() -> [(&'static str, DepthProtocol); 4] {
-    let garg = DepthProtocol::kitti_eigen();
-    [
-        ("garg_median_80", garg),
-        ("garg_lower_median_80", DepthProtocol { scaling: DepthScaling::LowerMedian, ..garg }),
-        ("garg_median_80_no_clamp", DepthProtocol { clamp: false, ..garg }),
-        ("median_200", DepthProtocol { max_depth: 200.0, ..DepthProtocol::default() }),
-    ]
-}
-
-fn assert_matches(got: &DepthImage, want: &serde_json::Value, label: &str) {
-    assert_eq!(got.valid_pixels as u64, want["n_valid"].as_u64().unwrap(), "{label}");
-    let pairs = DepthScores::NAMES.into_iter().zip(got.scores.values());
-    for (name, value) in pairs.chain([("ratio", got.scale)]) {
-        let expected = want[name].as_f64().unwrap();
-        let error = (value - expected).abs() / expected.abs().max(1e-12);
-        assert!(error < 2e-5, "{label} {name}: {value} against {expected}");
-    }
-}
-
-#[test]
-fn depth_agrees_with_the_reference_evaluation() {
-    let bytes = std::fs::read(Path::new(GOLDEN).join("depth.safetensors")).unwrap();
-    let file = SafeTensors::deserialize(&bytes).unwrap();
-    let json = read_json(&Path::new(GOLDEN).join("depth.json"));
-    for scene in ["small_0", "small_3", "small_4"] {
-        let truth = sparse_truth(&file, scene);
-        let disparity = map(48, 160, &floats(&file, &format!("{scene}.pred_disp")));
-        let depth = invert(&resize_bilinear(&disparity, 64, 208));
-        for (name, protocol) in golden_protocols() {
-            let got = evaluate_depth_image(&protocol, &depth, &truth, None).unwrap().unwrap();
-            assert_matches(&got, &json[name][scene], &format!("{name} {scene}"));
-        }
-    }
-    let empty = sparse_truth(&file, "empty");
-    let ones = map(64, 208, &[1.0; 64 * 208]);
-    let garg = DepthProtocol::kitti_eigen();
-    assert!(evaluate_depth_image(&garg, &ones, &empty, None).unwrap().is_none());
-}
-
-#[test]
-fn resize_agrees_with_the_reference() {
-    let bytes = std::fs::read(Path::new(GOLDEN).join("depth.safetensors")).unwrap();
-    let file = SafeTensors::deserialize(&bytes).unwrap();
-    let json = read_json(&Path::new(GOLDEN).join("depth.json"));
-    let disparity = map(48, 160, &floats(&file, "small_0.pred_disp"));
-    for case in ["small_0", "small_0_down"] {
-        let want = &json["resize"][case];
-        let size = |i: usize| want["out"][i].as_u64().unwrap() as usize;
-        let got = resize_bilinear(&disparity, size(0), size(1));
-        let places = want["rows_cols"].as_array().unwrap();
-        for (place, value) in places.iter().zip(want["values"].as_array().unwrap()) {
-            let at = |i: usize| place[i].as_u64().unwrap() as usize;
-            let (got, value) = (f64::from(got.at(at(0), at(1))), value.as_f64().unwrap());
-            assert!((got - value).abs() < 1e-6 * value, "{case} {place}: {got} against {value}");
-        }
-    }
 }

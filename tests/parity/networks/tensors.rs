@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use dimode_nets::{DepthNet, DepthNetKind, FlowNet, FlowNetKind, Kind, Network, PoseNet, PoseNetKind, fill};
 
-use crate::store::{Golden, available, gain, manifest};
+use crate::store::{available, gain, manifest, open};
 
 #[test]
 fn fill_rule_matches_the_probe() {
-    let golden = Golden::read("fill_probe");
+    let golden = open("fill_probe");
     let mut count = 0;
     for name in golden.names() {
         let stored = golden.get(name).unwrap();

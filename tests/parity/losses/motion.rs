@@ -1,11 +1,12 @@
-//! The four losses against reference values and gradients.
+//! The four losses of rotation, tangential and radial motion.
 
-use crate::support::{Golden, close};
+use crate::support::{cameras, close, open};
 use dimode_autodiff::{Shape, Tape, Tensor, Var};
 use dimode_geometry::Convention;
 use dimode_geometry::losses::{AlignedPair, AxialVariant, LossOptions, LossTerm, PairInputs, axial, planar, radial, tangential};
 use dimode_geometry::taped::pose::source_from_target;
 use dimode_geometry::taped::{RotationForm, masks};
+use dimode_tests::Golden;
 
 const VECTOR: Shape = Shape([2, 3, 1, 1]);
 
@@ -30,7 +31,7 @@ fn pair<'t>(golden: &Golden, v: &[Var<'t, f64>; 5], options: &LossOptions) -> Al
         flow: v[0],
         rotation: pose.rotation,
         translation: pose.translation,
-        intrinsics: &golden.cameras(),
+        intrinsics: &cameras(golden),
         mask: &golden.map("in.mask"),
     };
     AlignedPair::new(&inputs, options)
@@ -48,7 +49,7 @@ fn terms<'t>(pair: &AlignedPair<'t, f64>, options: &LossOptions) -> [(&'static s
 /// Gradients of the flow without the pixels whose flow ends on a whole row or column: the sampled depth
 /// has a kink there, and either of its one-sided derivatives is right.
 fn smooth_only(golden: &Golden, gradient: &[f64]) -> Vec<f64> {
-    let flow = golden.map("in.flow");
+    let flow = golden.map::<f64>("in.flow");
     let whole = |n: usize, i: usize, c: usize| {
         let x = flow.plane(n, c)[i];
         (x - x.round()).abs() < 1e-9
@@ -69,13 +70,13 @@ fn check_values_and_gradients(golden: &Golden, row: &str, options: &LossOptions)
     let pair = pair(golden, &v, options);
     for (name, term) in terms(&pair, options) {
         let expected = golden.numbers(&format!("out.{row}.{name}"));
-        close(&format!("{row} {name}"), term.per_image.value().data(), &expected, 1e-12, 1e-9);
+        close(&format!("{row} {name}"), term.per_image.value().data(), expected, 1e-12, 1e-9);
         let grads = tape.backward(term.mean);
         for (leaf, var) in LEAVES.iter().zip(v) {
             let expected = golden.numbers(&format!("grad.{row}.{name}.{leaf}"));
             let (found, expected) = match *leaf {
-                "flow" => (smooth_only(golden, grads.wrt(var).data()), smooth_only(golden, &expected)),
-                _ => (grads.wrt(var).to_vec(), expected),
+                "flow" => (smooth_only(golden, grads.wrt(var).data()), smooth_only(golden, expected)),
+                _ => (grads.wrt(var).to_vec(), expected.to_vec()),
             };
             let scale = expected.iter().fold(0.0f64, |m, x| m.max(x.abs()));
             close(&format!("{row} {name} {leaf}"), &found, &expected, 1e-9 * scale + 1e-13, 1e-8);
@@ -89,14 +90,14 @@ fn printed(convention: Convention) -> LossOptions {
 
 #[test]
 fn printed_losses_in_both_conventions() {
-    let golden = Golden::open("dimode_literal");
+    let golden = open("dimode_literal");
     check_values_and_gradients(&golden, "literal", &printed(Convention::AsPrinted));
     check_values_and_gradients(&golden, "target", &printed(Convention::Consistent));
 }
 
 #[test]
 fn aligned_maps_match() {
-    let golden = Golden::open("dimode_literal");
+    let golden = open("dimode_literal");
     for (row, convention) in [("literal", Convention::AsPrinted), ("target", Convention::Consistent)] {
         let tape = Tape::new();
         let v = leaves(&golden, &tape);
@@ -109,14 +110,14 @@ fn aligned_maps_match() {
             ("t_used", pair.translation),
         ] {
             let expected = golden.numbers(&format!("out.{row}.{name}"));
-            close(&format!("{row} {name}"), var.value().data(), &expected, 1e-10, 1e-11);
+            close(&format!("{row} {name}"), var.value().data(), expected, 1e-10, 1e-11);
         }
     }
 }
 
 #[test]
 fn robust_losses_and_their_masks() {
-    let golden = Golden::open("dimode_robust");
+    let golden = open("dimode_robust");
     for (row, convention, form) in [
         ("target_folded", Convention::Consistent, AxialVariant::Folded),
         ("literal_signed", Convention::AsPrinted, AxialVariant::Signed),
@@ -127,7 +128,7 @@ fn robust_losses_and_their_masks() {
         let tape = Tape::new();
         let v = leaves(&golden, &tape);
         let pair = pair(&golden, &v, &options);
-        let stored = |name: &str| golden.map(&format!("out.{row}.{name}"));
+        let stored = |name: &str| golden.map::<f64>(&format!("out.{row}.{name}"));
         assert_eq!(pair.mask.to_vec(), stored("m_base").to_vec(), "{row}");
         assert_eq!(planar(&pair, &options).counts, masks::counts(&stored("m_pla")), "{row}");
         assert_eq!(axial(&pair, &options).counts, masks::counts(&stored("m_axi")), "{row}");
@@ -144,7 +145,7 @@ fn exact_values(golden: &Golden, source: &str, options: &LossOptions) -> [Vec<f6
         flow: map("flow"),
         rotation: tape.leaf(golden.tensor(&format!("in.{source}.R"), Shape::new(2, 1, 3, 3))),
         translation: tape.leaf(golden.tensor(&format!("in.{source}.t"), VECTOR)),
-        intrinsics: &golden.cameras(),
+        intrinsics: &cameras(golden),
         mask: &mask,
     };
     let pair = AlignedPair::from_sampled(&inputs, options);
@@ -153,7 +154,7 @@ fn exact_values(golden: &Golden, source: &str, options: &LossOptions) -> [Vec<f6
 
 #[test]
 fn exact_scene_costs_nothing_when_consistent_and_the_stored_amount_when_printed() {
-    let golden = Golden::open("dimode_exact");
+    let golden = open("dimode_exact");
     for source in ["next", "prev"] {
         let names = ["L_pla", "L_axi", "L_tan", "L_rad"];
         for (row, convention) in [("literal", Convention::AsPrinted), ("target", Convention::Consistent)] {
@@ -161,7 +162,7 @@ fn exact_scene_costs_nothing_when_consistent_and_the_stored_amount_when_printed(
             for (name, values) in names.iter().zip(found) {
                 let expected = golden.numbers(&format!("out.{source}.{row}.{name}"));
                 // An arccos next to cosine 1 cannot be better than the root of the rounding error.
-                close(&format!("{source} {row} {name}"), &values, &expected, 5e-8, 1e-8);
+                close(&format!("{source} {row} {name}"), &values, expected, 5e-8, 1e-8);
             }
         }
         // The stored flows carry a division guard of 1e-7, which is what remains.

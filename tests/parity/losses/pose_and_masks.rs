@@ -1,9 +1,10 @@
-//! Poses of network outputs and validity masks against reference values.
+//! Poses of network outputs, and validity masks.
 
-use crate::support::{Golden, close};
+use crate::support::{close, open};
 use dimode_autodiff::{Shape, Tape, Tensor};
 use dimode_geometry::taped::pose::source_from_target;
 use dimode_geometry::taped::{RotationForm, masks};
+use dimode_tests::Golden;
 
 const COUNT: usize = 5;
 
@@ -18,7 +19,7 @@ fn split(golden: &Golden, name: &str) -> [Tensor<f64>; 2] {
 
 #[test]
 fn guarded_axis_angle_matches_values_and_gradients() {
-    let golden = Golden::open("pose");
+    let golden = open("pose");
     let tape = Tape::new();
     let vector = Shape::new(COUNT, 3, 1, 1);
     let w = tape.leaf(golden.tensor("in.axisangle", vector));
@@ -34,13 +35,13 @@ fn guarded_axis_angle_matches_values_and_gradients() {
         }
     }
     let grads = tape.backward(loss);
-    close("axisangle", grads.wrt(w).data(), &golden.numbers("grad.axisangle"), 1e-12, 1e-8);
-    close("translation", grads.wrt(tau).data(), &golden.numbers("grad.translation"), 1e-12, 1e-10);
+    close("axisangle", grads.wrt(w).data(), golden.numbers("grad.axisangle"), 1e-12, 1e-8);
+    close("translation", grads.wrt(tau).data(), golden.numbers("grad.translation"), 1e-12, 1e-10);
 }
 
 #[test]
 fn exponential_form_differs_by_the_guard_only() {
-    let golden = Golden::open("pose");
+    let golden = open("pose");
     let tape = Tape::new();
     let vector = Shape::new(COUNT, 3, 1, 1);
     let (w, tau) = (golden.tensor("in.axisangle", vector), golden.tensor("in.translation", vector));
@@ -51,10 +52,10 @@ fn exponential_form_differs_by_the_guard_only() {
 
 #[test]
 fn masks_match() {
-    let golden = Golden::open("flow_masks");
+    let golden = open("flow_masks");
     let (forward, backward) = (golden.map("in.flow_fw"), golden.map("in.flow_bw"));
     let sampled = masks::backward_at_forward(&forward, &backward);
-    close("bw_warped", sampled.data(), &golden.numbers("out.bw_warped"), 1e-12, 1e-11);
+    close("bw_warped", sampled.data(), golden.numbers("out.bw_warped"), 1e-12, 1e-11);
     let occluded: Vec<f64> = masks::not_occluded(&forward, &backward).data().iter().map(|m| 1.0 - m).collect();
     assert_eq!(occluded, golden.numbers("out.occluded_fb"));
     assert_eq!(masks::in_view(&forward).to_vec(), golden.numbers("out.in_view"));

@@ -4,8 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use dimode_autodiff::{Scalar, Shape, Tape, Tensor, Var};
 use dimode_nets::{Binder, Mode, Network, fill};
+use dimode_tests::Golden;
 
-use crate::store::{Golden, gain, manifest};
+use crate::store::{gain, manifest, open};
 
 /// What a network returned, by the names used in the golden files.
 pub struct Run<'t, T: Scalar> {
@@ -77,7 +78,7 @@ impl<T: Scalar> Comparison<'_, T> {
     fn check_loss(&mut self, value: f64, magnitude: f64) {
         let plain = format!("{}.loss", self.prefix);
         let (name, share) = if self.double { (format!("f64.{plain}"), EXACT) } else { (plain.clone(), 1e-5) };
-        let stored = self.golden.get(&name).expect("loss").values[0];
+        let stored = self.golden.numbers(&name)[0];
         self.seen.insert(plain);
         if (value - stored).abs() > share * magnitude {
             self.failures.push(format!("{name}: {value} against {stored}"));
@@ -113,7 +114,7 @@ where
     N: Network,
     F: for<'t> Fn(&mut Binder<'t, T>, &[Var<'t, T>]) -> Run<'t, T>,
 {
-    let (golden, manifest) = (Golden::read(case.name), manifest(case.name));
+    let (golden, manifest) = (open(case.name), manifest(case.name));
     let mut params = network.blueprint().filled::<T>(|file| gain(&manifest, file));
     let prefix = match case.mode {
         Mode::Eval => "eval",
@@ -131,7 +132,7 @@ where
     };
     let tape = Tape::new();
     let mut binder = Binder::new(&tape, &params, case.mode);
-    let input = |name: &&str| tape.leaf(golden.input(&format!("{prefix}.in.{name}")));
+    let input = |name: &&str| tape.leaf(golden.map(&format!("{prefix}.in.{name}")));
     let inputs: Vec<Var<T>> = case.inputs.iter().map(input).collect();
     let run = forward(&mut binder, &inputs);
     for (name, var) in &run.mids {
