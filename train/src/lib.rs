@@ -3,6 +3,7 @@ pub mod batch;
 pub mod checkpoint;
 pub mod cli;
 pub mod config;
+mod counted;
 pub mod data;
 pub mod eval;
 pub mod losses;

@@ -8,6 +8,7 @@ use super::failure::Exit;
 use super::options::{Size, preset};
 use super::{interrupt, output};
 use crate::config::Preset;
+use crate::counted::counted;
 use crate::data::synthetic::{Split, SyntheticConfig};
 use crate::progress::Bar;
 use crate::run::Stopped;
@@ -110,7 +111,8 @@ impl SynthArgs {
             output::json(&summary)?;
         } else {
             let out = summary.out.display();
-            output::text(&format!("{} sequences, {} frames in {out}", summary.sequences, summary.frames))?;
+            let (sequences, frames) = (counted(summary.sequences, "sequence"), counted(summary.frames, "frame"));
+            output::text(&format!("{sequences}, {frames} in {out}"))?;
         }
         Ok(Exit::Done)
     }

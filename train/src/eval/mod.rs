@@ -96,7 +96,7 @@ impl Ratio {
 pub struct Evaluation {
     /// What was evaluated, for instance the name of the run.
     pub title: String,
-    /// The data in a few words, for instance `held-out street worlds (seed 7)`; part of every table title.
+    /// The data in a few words, for instance `held-out street worlds (seed 7)`; part of every table title, which adds the counts.
     pub data: String,
     /// Depth rows; absent without true depth.
     pub depth: Option<DepthTable>,

@@ -33,10 +33,10 @@ fn the_text_table_says_how_numbers_were_made() {
     let text = example().render_table();
     for part in [
         "held-out street worlds",
-        "1 frames",
+        "held-out street worlds, 1 frame (",
         "median scaling per image",
         "Sim(3), 7 DoF",
-        "50 frame pairs in 1 sequence(s)",
+        "50 frame pairs in 1 sequence (",
         "constant depth",
         "zero motion",
         "mean training motion",

@@ -3,6 +3,7 @@
 use comfy_table::{Cell, CellAlignment, Table, presets};
 
 use super::{DepthTable, Evaluation, MotionTable, Ratio, RowKind};
+use crate::counted::counted;
 
 /// One table ready to be shown, as text or in a report.
 #[derive(Clone, Debug, PartialEq)]
@@ -111,9 +112,9 @@ pub(crate) fn depth_grid(data: &str, table: &DepthTable) -> Grid {
     let mut notes =
         vec!["Mean over frames of the per-frame values. Scale spread: standard deviation of scale / median scale.".to_owned()];
     if table.skipped > 0 {
-        notes.push(format!("{} frame(s) without a valid pixel left out.", table.skipped));
+        notes.push(format!("{} without a valid pixel left out.", counted(table.skipped, "frame")));
     }
-    let title = format!("Depth: {data}, {} frames ({})", table.frames, table.protocol.describe());
+    let title = format!("Depth: {data}, {} ({})", counted(table.frames, "frame"), table.protocol.describe());
     grid(title, &rows, &columns, notes)
 }
 
@@ -141,9 +142,9 @@ pub(crate) fn motion_grid(data: &str, table: &MotionTable) -> Grid {
         .collect();
     let rows: Vec<_> = table.rows.iter().map(|row| (row.name.as_str(), row.kind)).collect();
     let title = format!(
-        "Motion: {data}, {} frame pairs in {} sequence(s) ({})",
-        table.pairs,
-        table.sequences,
+        "Motion: {data}, {} in {} ({})",
+        counted(table.pairs, "frame pair"),
+        counted(table.sequences, "sequence"),
         table.protocol.alignment.label()
     );
     grid(title, &rows, &columns, motion_notes(table))
@@ -163,7 +164,7 @@ fn motion_notes(table: &MotionTable) -> Vec<String> {
     ];
     let skipped = table.rows[0].frame_to_frame.direction_skipped;
     if skipped > 0 {
-        notes.push(format!("{skipped} pair(s) without true translation have no direction error."));
+        notes.push(format!("No direction error for {} without true translation.", counted(skipped, "pair")));
     }
     if table.rows[0].odometry.per_sequence.iter().any(|s| s.errors.rotation_ambiguous) {
         notes.push("Some true paths are straight lines: the alignment cannot fix the twist about them.".to_owned());

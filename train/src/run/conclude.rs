@@ -58,14 +58,9 @@ pub fn conclude(
     let (sequences, depth) = predict(request, folder, trained, frames, means.0, progress, stop)?;
     let paths = sequences.iter().filter_map(|s| Some((s.name.as_str(), &s.steps[..], s.truth.as_ref()?)));
     let motion = motion_table(&paths.collect::<Vec<_>>(), means.1, &OdometryChanges::default())?;
-    let count: usize = sequences.iter().map(|s| s.frames).sum();
-    let kind = if held_out.is_some() { "not trained on" } else { "the frames trained on, without their truth" };
-    let evaluation = Evaluation {
-        title: request.out.display().to_string(),
-        data: format!("{}: {} sequences, {count} frames, {kind}", frames.name(), sequences.len()),
-        depth,
-        motion,
-    };
+    let kind = if held_out.is_some() { "not trained on" } else { "trained on without its truth" };
+    let evaluation =
+        Evaluation { title: request.out.display().to_string(), data: format!("{}, {kind}", frames.name()), depth, motion };
     let report = report(request, folder, trained, &sequences, &evaluation)?;
     write_report(&folder.report(), &report)?;
     write_json(&folder.metrics(), &evaluation)?;
@@ -75,7 +70,6 @@ pub fn conclude(
 /// What is kept of a sequence.
 struct Predicted {
     name: String,
-    frames: usize,
     /// `next_from_this` between neighbours.
     steps: Vec<Se3>,
     truth: Option<Trajectory>,
@@ -143,7 +137,7 @@ fn predict(
             (true, Some((frame, depth)), Some(next)) => Some(Shown { frame, next, depth, step: steps[middle] }),
             _ => None,
         };
-        sequences.push(Predicted { name, frames: len, steps, truth, shown });
+        sequences.push(Predicted { name, steps, truth, shown });
     }
     progress.finish();
     let table = if with_truth { Some(table.finish()?) } else { None };
@@ -252,7 +246,7 @@ fn report(
         begin = end;
     }
     Ok(ReportInput {
-        title: format!("DiMoDE run: {}", evaluation.data),
+        title: format!("DiMoDE run: {}", evaluation.title),
         command: request.command.clone(),
         config_toml: config.to_toml(),
         facts,

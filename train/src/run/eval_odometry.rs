@@ -145,15 +145,18 @@ impl EvalOdometryResult {
     /// The numbers as lines for a terminal.
     pub fn table(&self) -> String {
         let errors = &self.errors;
-        let number = |value: Option<f64>| value.map_or_else(|| "not available".to_owned(), |value| format!("{value:.4}"));
+        let number = |value: Option<f64>, unit: &str| match value {
+            Some(value) => format!("{value:.4}{unit}"),
+            None => "not available".to_owned(),
+        };
         let mut lines = vec![
             format!("{} against {}", self.estimate.display(), self.truth.display()),
             self.protocol.describe(),
-            format!("e_t            {} %", number(errors.e_t_percent)),
-            format!("e_r            {} deg / 100 m", number(errors.e_r_deg_per_100m)),
-            format!("ATE            {} m", number(Some(errors.ate_m))),
-            format!("RPE            {} m, {} deg", number(errors.rpe_translation_m), number(errors.rpe_rotation_deg)),
-            format!("scale          {}", number(Some(errors.scale))),
+            format!("e_t            {}", number(errors.e_t_percent, " %")),
+            format!("e_r            {}", number(errors.e_r_deg_per_100m, " deg / 100 m")),
+            format!("ATE            {}", number(Some(errors.ate_m), " m")),
+            format!("RPE            {}, {}", number(errors.rpe_translation_m, " m"), number(errors.rpe_rotation_deg, " deg")),
+            format!("scale          {}", number(Some(errors.scale), "")),
             format!("frames         {} compared, {} without truth", errors.frames, errors.unmatched_frames),
             format!("path           {:.2} m, {} sub-sequences", errors.path_length_m, errors.segments),
         ];
