@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::failure::{Exit, UsageError};
-use super::output;
+use super::{output, summary};
 use crate::eval::{Crop, DepthScaling};
 use crate::progress::Bar;
 use crate::run::eval_depth::{DepthSource, EvalDepthRequest, ProtocolChanges, eval_depth};
@@ -45,7 +45,7 @@ pub enum CropName {
 
 /// Flags of `dimode eval depth`.
 #[derive(Debug, Args)]
-#[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
+#[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct EvalDepthArgs {
     /// Folder of a trained run
     #[arg(long, value_name = "RUN", conflicts_with_all = ["gt", "pred"])]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::failure::{Exit, UsageError};
-use super::output;
+use super::{output, summary};
 use crate::eval::{Alignment, Arithmetic, OdometryProtocol};
 use crate::progress::Bar;
 use crate::run::eval_motion::{EvalMotionRequest, eval_motion};
@@ -62,7 +62,7 @@ impl From<Align> for Alignment {
 
 /// Flags of `dimode eval odometry`.
 #[derive(Debug, Args)]
-#[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
+#[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct EvalOdometryArgs {
     /// Folder of a trained run
     #[arg(long, value_name = "RUN", conflicts_with_all = ["gt", "est", "format", "max_time_difference"])]

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::failure::Exit;
-use super::{interrupt, output};
+use super::{interrupt, output, summary};
+use crate::counted::counted;
 use crate::progress::Bar;
 use crate::run::Stopped;
 use crate::run::infer::{InferRequest, SequenceSummary, infer};
@@ -24,7 +25,7 @@ Examples:
 
 /// Flags of `dimode infer`.
 #[derive(Debug, Args)]
-#[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
+#[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct InferArgs {
     /// Folder of the trained run
     #[arg(long, value_name = "RUN")]
@@ -58,9 +59,9 @@ impl InferArgs {
         } else {
             let line = |s: &SequenceSummary| {
                 format!(
-                    "{}: {} frames, path of {:.2} units in {}\n",
+                    "{}: {}, path of {:.2} units in {}\n",
                     s.name,
-                    s.frames,
+                    counted(s.frames, "frame"),
                     s.path_length,
                     request.out.join(&s.name).display()
                 )

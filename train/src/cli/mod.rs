@@ -20,8 +20,6 @@ use clap::{Args, Parser, Subcommand};
 
 use failure::Exit;
 
-const ABOUT: &str = "Learns depth and camera motion from plain video, and shows what it learned.";
-
 const LONG_ABOUT: &str = "\
 Learns depth and camera motion from plain video, and shows what it learned.
 
@@ -42,7 +40,7 @@ Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 130 interrupted (t
 All text about the work goes to standard error, results to standard output.";
 
 #[derive(Debug, Parser)]
-#[command(name = "dimode", version, about = ABOUT, long_about = LONG_ABOUT, after_help = EXAMPLES)]
+#[command(name = "dimode", version, about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 #[command(subcommand_required = true, arg_required_else_help = true, max_term_width = 110)]
 struct Cli {
     #[command(flatten)]
@@ -58,16 +56,14 @@ struct Global {
     threads: Option<usize>,
 }
 
+// No doc comments on variants that hold arguments: clap would show them in place of the help that the arguments bring.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Train the networks, evaluate them, write a report
     Train(Box<train::TrainArgs>),
     /// Score depth or trajectories against ground truth
     #[command(subcommand)]
     Eval(Eval),
-    /// Write depth and trajectory of every frame of a folder
     Infer(infer::InferArgs),
-    /// Render embedded worlds to a folder in KITTI odometry layout
     Synth(synth::SynthArgs),
     /// Train a network on its own before the joint training
     #[command(subcommand)]
@@ -76,18 +72,19 @@ enum Command {
 
 #[derive(Debug, Subcommand)]
 enum Eval {
-    /// Score depth: of a trained run, or of a folder of depth pictures
     Depth(eval_depth::EvalDepthArgs),
-    /// Score a trajectory file against a true one
     Odometry(eval_odometry::EvalOdometryArgs),
 }
 
 #[derive(Debug, Subcommand)]
 enum Pretrain {
-    /// Train the flow network on rendered pairs with exact flow
     Flow(pretrain_flow::PretrainFlowArgs),
-    /// Train the pose network on single pictures that are moved
     Pose(pretrain_pose::PretrainPoseArgs),
+}
+
+/// The first sentence of a long help, for lists of commands and for `-h`.
+fn summary(long: &'static str) -> &'static str {
+    long.lines().next().unwrap_or(long).trim_end_matches('.')
 }
 
 /// Runs the command line of this process and gives its exit code.

@@ -6,9 +6,9 @@ use clap::Args;
 use dimode_nets::FlowNetKind;
 
 use super::failure::Exit;
-use super::interrupt;
 use super::options::{Size, preset, refuse_unless, refuse_unless_network_size};
 use super::pretrain::{check_out, conclude};
+use super::{interrupt, summary};
 use crate::config::Preset;
 use crate::pretrain::flow::{self, EndPointError, PretrainConfig, PretrainRequest};
 use crate::progress::Bar;
@@ -27,7 +27,7 @@ Examples:
 
 /// Flags of `dimode pretrain flow`.
 #[derive(Debug, Args)]
-#[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
+#[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct PretrainFlowArgs {
     /// File to write (safetensors)
     #[arg(long, value_name = "FILE")]

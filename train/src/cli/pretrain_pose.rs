@@ -6,9 +6,9 @@ use clap::Args;
 use dimode_nets::PoseNetKind;
 
 use super::failure::Exit;
-use super::interrupt;
 use super::options::{Size, preset, refuse_unless, refuse_unless_network_size};
 use super::pretrain::{check_out, conclude};
+use super::{interrupt, summary};
 use crate::config::Preset;
 use crate::pretrain::pose::{self, MotionError, PosePretraining};
 use crate::progress::Bar;
@@ -27,7 +27,7 @@ Examples:
 
 /// Flags of `dimode pretrain pose`.
 #[derive(Debug, Args)]
-#[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
+#[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct PretrainPoseArgs {
     /// Folder to write pose_encoder.safetensors and pose.safetensors to
     #[arg(long, value_name = "DIR")]

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::failure::Exit;
 use super::options::{Size, preset};
-use super::{interrupt, output};
+use super::{interrupt, output, summary};
 use crate::config::Preset;
 use crate::counted::counted;
 use crate::data::synthetic::{Split, SyntheticConfig};
@@ -37,7 +37,7 @@ pub enum Family {
 
 /// Flags of `dimode synth`.
 #[derive(Debug, Args)]
-#[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
+#[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct SynthArgs {
     /// Folder to write; must be new or empty
     #[arg(long, value_name = "DIR")]

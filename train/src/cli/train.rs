@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::failure::{Exit, UsageError};
 use super::options::{Size, Stages, preset};
-use super::{interrupt, output};
+use super::{interrupt, output, summary};
 use crate::config::{Config, FirstWeights, GeometricConfig, Preset, StageConfig};
 use crate::progress::{Bar, Progress};
 use crate::run::{self, RunFolder, TrainOutcome, TrainRequest};
@@ -49,7 +49,7 @@ pub enum LossForm {
 
 /// Flags of `dimode train`.
 #[derive(Debug, Args)]
-#[command(long_about = LONG_ABOUT, after_help = EXAMPLES)]
+#[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct TrainArgs {
     /// Settings in a TOML file
     #[arg(long, value_name = "FILE")]

@@ -30,6 +30,39 @@ fn every_command_has_examples() {
     }
 }
 
+/// The words of a text, whatever its line breaks are.
+fn words(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[test]
+fn long_help_explains_the_command() {
+    for (command, sentence) in [
+        (&["train"][..], "Without --data the frames come from an embedded world that is rendered while training runs"),
+        (&["eval", "depth"], "Scale is found per image by the ratio of medians unless --scaling says otherwise."),
+        (&["eval", "odometry"], "Frames are matched by index, or by time when both files hold times."),
+        (&["infer"], "from a single camera its length is not known."),
+        (&["synth"], "The folder can be given to 'dimode train --data'."),
+        (&["pretrain", "flow"], "Every step renders new worlds, so no pair is seen twice."),
+        (&["pretrain", "pose"], "No true depth or motion of a world is used"),
+    ] {
+        let by_flag = words(&dimode(&[command, &["--help"]].concat()).succeeded());
+        assert!(by_flag.contains(sentence), "{command:?}: {by_flag}");
+        let by_name = words(&dimode(&[&["help"], command].concat()).succeeded());
+        assert!(by_name.contains(sentence), "{command:?}: {by_name}");
+        let short = words(&dimode(&[command, &["-h"]].concat()).succeeded());
+        assert!(!short.contains(sentence), "{command:?}: {short}");
+    }
+}
+
+#[test]
+fn lists_of_commands_say_what_each_does() {
+    let eval = words(&dimode(&["eval", "--help"]).succeeded());
+    assert!(eval.contains("odometry Score motion against ground truth: of a trained run, or of a trajectory file"), "{eval}");
+    let top = words(&dimode(&["--help"]).succeeded());
+    assert!(top.contains("synth Render embedded worlds to a folder in KITTI odometry layout"), "{top}");
+}
+
 #[test]
 fn train_help_names_its_main_flags() {
     let help = dimode(&["train", "--help"]).succeeded();
