@@ -48,7 +48,7 @@ pub enum CropName {
 #[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct EvalDepthArgs {
     /// Folder of a trained run
-    #[arg(long, value_name = "RUN", conflicts_with_all = ["gt", "pred"])]
+    #[arg(long, value_name = "RUN", conflicts_with = "pred")]
     run: Option<PathBuf>,
     /// Folder of frames with true depth [default: the data of the run, or held-out worlds]
     #[arg(long, value_name = "DIR", requires = "run")]
@@ -57,7 +57,7 @@ pub struct EvalDepthArgs {
     #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "run")]
     sequences: Vec<String>,
     /// Folder of true depth pictures
-    #[arg(long, value_name = "DIR", requires = "pred")]
+    #[arg(long, value_name = "DIR", requires = "pred", conflicts_with_all = ["run", "data", "sequences"])]
     gt: Option<PathBuf>,
     /// Folder of predicted depth pictures
     #[arg(long, value_name = "DIR", requires = "gt")]

@@ -65,7 +65,7 @@ impl From<Align> for Alignment {
 #[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct EvalOdometryArgs {
     /// Folder of a trained run
-    #[arg(long, value_name = "RUN", conflicts_with_all = ["gt", "est", "format", "max_time_difference"])]
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["est", "format", "max_time_difference"])]
     run: Option<PathBuf>,
     /// Folder of frames with true poses [default: the data of the run, or held-out worlds]
     #[arg(long, value_name = "DIR", requires = "run")]
@@ -77,7 +77,7 @@ pub struct EvalOdometryArgs {
     #[arg(long, value_name = "N", requires = "run")]
     looks: Option<usize>,
     /// True trajectory
-    #[arg(long, value_name = "FILE", requires = "est")]
+    #[arg(long, value_name = "FILE", requires = "est", conflicts_with_all = ["run", "data", "sequences", "looks"])]
     gt: Option<PathBuf>,
     /// Estimated trajectory
     #[arg(long, value_name = "FILE", requires = "gt")]

@@ -33,7 +33,7 @@ pub struct DataConfig {
     pub night: bool,
     /// Add one object that moves by itself.
     pub moving_object: bool,
-    /// Sequences of a folder to use, by name; empty for all.
+    /// Sequences of a folder to use, each named once; empty for all.
     pub sequences: Vec<String>,
 }
 

@@ -169,6 +169,42 @@ pub(crate) fn image_files(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
     Ok(sorted_entries(folder, "folder of frames")?.into_iter().filter(is_image).collect())
 }
 
+/// The folders of the sequences with the `wanted` names, in that order, or all of them without a wish. `is_meant` tells whether the
+/// name of a folder is the wanted one.
+///
+/// **Errors** [`DataError::Option`] for an empty name and for a sequence that is named twice, [`DataError::Missing`] for one that
+/// `parent` does not hold.
+pub(crate) fn choose(
+    parent: &Path,
+    all: Vec<PathBuf>,
+    wanted: &[String],
+    is_meant: impl Fn(&str, &str) -> bool,
+) -> Result<Vec<PathBuf>, DataError> {
+    if wanted.is_empty() {
+        return Ok(all);
+    }
+    let refuse = |reason: String| DataError::Option { option: "sequences", value: format!("{wanted:?}"), reason };
+    let mut chosen: Vec<PathBuf> = Vec::new();
+    for name in wanted {
+        if name.is_empty() {
+            return Err(refuse("a name is empty; name every sequence, or none to take all".to_owned()));
+        }
+        let Some(found) = all.iter().find(|path| is_meant(&last_part(path), name)) else {
+            let names: Vec<String> = all.iter().map(|path| last_part(path)).collect();
+            return Err(DataError::Missing {
+                path: parent.join(name),
+                what: format!("sequence {name} with frames"),
+                advice: format!("choose among {}", names.join(", ")),
+            });
+        };
+        if chosen.contains(found) {
+            return Err(refuse(format!("sequence {} is named twice; name it once", last_part(found))));
+        }
+        chosen.push(found.clone());
+    }
+    Ok(chosen)
+}
+
 /// The common (width, height) of the files of a sequence.
 ///
 /// **Errors** fewer than `needed` files (or none), a file that is no complete image, two sizes (both files are named).

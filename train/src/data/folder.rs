@@ -14,7 +14,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use super::DataError;
-use super::file_dataset::{FileDataset, FileSequence, check_count, common_size, image_files, last_part, sorted_entries};
+use super::file_dataset::{FileDataset, FileSequence, check_count, choose, common_size, image_files, last_part, sorted_entries};
 use super::intrinsics_file::{EXAMPLE, IntrinsicsFile};
 use super::options::LoadOptions;
 use super::poses::read_poses;
@@ -67,19 +67,7 @@ fn sequence_folders(root: &Path, wanted: &[String]) -> Result<Vec<PathBuf>, Data
         let advice = "put PNG or JPEG frames into the folder, or name another one".to_owned();
         return Err(DataError::Missing { path: root.to_owned(), what: "a frame (PNG or JPEG)".to_owned(), advice });
     }
-    if wanted.is_empty() {
-        return Ok(all);
-    }
-    let names: Vec<String> = all.iter().map(|path| last_part(path)).collect();
-    let find = |name: &String| {
-        let index = names.iter().position(|known| known == name);
-        index.map(|index| all[index].clone()).ok_or_else(|| DataError::Missing {
-            path: root.join(name),
-            what: format!("sequence {name} with frames"),
-            advice: format!("choose among {}", names.join(", ")),
-        })
-    };
-    wanted.iter().map(find).collect()
+    choose(root, all, wanted, |folder, name| folder == name)
 }
 
 fn open_sequence(root: &Path, folder: &Path, min_frames: usize) -> Result<FileSequence, DataError> {

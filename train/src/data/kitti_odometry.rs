@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use super::DataError;
 use super::calib::Calibration;
-use super::file_dataset::{FileDataset, FileSequence, check_count, common_size, image_files, last_part, sorted_entries};
+use super::file_dataset::{FileDataset, FileSequence, check_count, choose, common_size, image_files, last_part, sorted_entries};
 use super::options::{KittiCamera, LoadOptions};
 use super::poses::read_poses;
 use super::times::read_times;
@@ -29,7 +29,7 @@ pub fn open_kitti_odometry(root: &Path, options: &LoadOptions) -> Result<FileDat
     Ok(FileDataset::new(last_part(root), sequences, options))
 }
 
-/// The folders of the wanted sequences, or all that have images.
+/// The folders of the wanted sequences, or all that have images; `6` finds `06`.
 fn sequence_folders(root: &Path, options: &LoadOptions) -> Result<Vec<PathBuf>, DataError> {
     let parent = root.join("sequences");
     let all: Vec<PathBuf> = sorted_entries(&parent, "`sequences` folder")?
@@ -44,24 +44,7 @@ fn sequence_folders(root: &Path, options: &LoadOptions) -> Result<Vec<PathBuf>, 
             advice: "frames belong in sequences/NN/image_2/000000.png and so on".to_owned(),
         });
     }
-    if options.sequences.is_empty() {
-        return Ok(all);
-    }
-    options.sequences.iter().map(|name| find_sequence(&parent, &all, name)).collect()
-}
-
-/// A sequence by its name; `6` finds `06`.
-fn find_sequence(parent: &Path, all: &[PathBuf], name: &str) -> Result<PathBuf, DataError> {
-    let padded = format!("{name:0>2}");
-    let found = all.iter().find(|path| last_part(path) == name || last_part(path) == padded);
-    found.cloned().ok_or_else(|| {
-        let names: Vec<String> = all.iter().map(|path| last_part(path)).collect();
-        DataError::Missing {
-            path: parent.join(name),
-            what: format!("sequence {name} with frames"),
-            advice: format!("choose among {}", names.join(", ")),
-        }
-    })
+    choose(&parent, all, &options.sequences, |folder, name| folder == name || folder == format!("{name:0>2}"))
 }
 
 /// The wanted camera if it is there; without a wish left colour, then left grey.

@@ -36,7 +36,7 @@ impl KittiCamera {
 /// Options of [`super::open`] and of the readers behind it.
 #[derive(Clone, Debug)]
 pub struct LoadOptions {
-    /// Sequences to use, by name; empty for all that are there.
+    /// Sequences to use, each named once; empty for all that are there.
     pub sequences: Vec<String>,
     /// Camera of a KITTI layout; `None` takes left colour where it is there, else left grey.
     pub camera: Option<KittiCamera>,

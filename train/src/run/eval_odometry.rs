@@ -7,7 +7,7 @@ use dimode_geometry::Trajectory;
 use serde::Serialize;
 
 use crate::data::DataError;
-use crate::eval::{Alignment, Arithmetic, OdometryErrors, OdometryProtocol, evaluate_odometry};
+use crate::eval::{Alignment, Arithmetic, EvalError, OdometryErrors, OdometryProtocol, evaluate_odometry};
 
 /// How a trajectory is written in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
@@ -74,12 +74,16 @@ pub struct EvalOdometryResult {
 
 /// Reads both files and compares them. Frames are matched by their index, or by time when both files hold times.
 ///
-/// **Errors** [`DataError`] and [`dimode_geometry::GeometryError`] for the files, [`crate::eval::EvalError`] for trajectories
-/// that cannot be compared.
+/// **Errors** [`DataError`] and [`dimode_geometry::GeometryError`] for the files, [`EvalError`] for trajectories that cannot be
+/// compared and for a time difference that is negative or no number.
 pub fn eval_odometry(request: &EvalOdometryRequest) -> Result<EvalOdometryResult> {
+    let limit = request.max_time_difference;
+    if limit.is_nan() || limit < 0.0 {
+        return Err(EvalError::Option { option: "max_time_difference", value: limit, requirement: "must be 0 or more" }.into());
+    }
     let truth = read(&request.truth, request.format)?;
     let mut estimate = read(&request.estimate, request.format)?;
-    match_times(&truth, &mut estimate, request.max_time_difference);
+    match_times(&truth, &mut estimate, limit);
     let errors = evaluate_odometry(&estimate, &truth, &request.protocol)?;
     Ok(EvalOdometryResult {
         truth: request.truth.clone(),
@@ -205,6 +209,26 @@ mod tests {
         let raw = eval_odometry(&request(folder.path(), Alignment::None)).unwrap();
         assert!(raw.errors.ate_m > 1.0);
         assert!(raw.table().contains("no alignment"));
+    }
+
+    #[test]
+    fn what_is_not_available_has_no_unit() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["truth.txt", "estimate.txt"] {
+            std::fs::write(folder.path().join(name), path_of(0.01).to_kitti(false)).unwrap();
+        }
+        let table = eval_odometry(&request(folder.path(), Alignment::None)).unwrap().table();
+        assert!(table.lines().any(|line| line == "e_t            not available"), "{table}");
+        assert!(table.lines().any(|line| line.starts_with("ATE") && line.ends_with(" m")), "{table}");
+    }
+
+    #[test]
+    fn a_negative_difference_of_times_is_refused() {
+        for bad in [-1.0, f64::NAN] {
+            let request = EvalOdometryRequest { max_time_difference: bad, ..request(Path::new("none"), Alignment::Sim3) };
+            let message = eval_odometry(&request).unwrap_err().to_string();
+            assert_eq!(message, format!("max_time_difference = {bad}: must be 0 or more"));
+        }
     }
 
     #[test]

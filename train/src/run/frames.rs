@@ -63,7 +63,7 @@ pub(super) fn for_each_frame(dataset: &dyn Dataset, sequence: usize, visit: &mut
 /// The frames on which a run is scored: those of `data`, or of the folder that it was trained on, or worlds that it was not
 /// trained on. `sequences` chooses among those of a folder; empty for all of `data`, or for those of the run.
 ///
-/// **Errors** [`DataError`].
+/// **Errors** [`DataError`], and [`DataError::Option`] for `sequences` of worlds, which cannot be chosen.
 pub(super) fn frames_to_score(config: &Config, data: Option<&Path>, sequences: &[String]) -> Result<Box<dyn Dataset>, DataError> {
     let mut settings = config.data.clone();
     match data.or(settings.path.clone().as_deref()) {
@@ -73,7 +73,11 @@ pub(super) fn frames_to_score(config: &Config, data: Option<&Path>, sequences: &
             }
             open_frames(path, &settings, 1)
         }
-        None => Ok(Box::new(held_out_worlds(config)?)),
+        None if sequences.is_empty() => Ok(Box::new(held_out_worlds(config)?)),
+        None => {
+            let reason = "the run is scored on embedded worlds; name a folder with --data, or leave --sequences out".to_owned();
+            Err(DataError::Option { option: "sequences", value: format!("{sequences:?}"), reason })
+        }
     }
 }
 

@@ -178,6 +178,44 @@ fn depth_and_trajectories_that_cannot_be_scored() {
     odometry("words.txt", "short.txt").refused(1, &["words.txt: 3 columns"]);
 }
 
+#[test]
+fn flags_of_the_other_input_are_refused() {
+    let place = place(0);
+    let line = "1 0 0 0 0 1 0 0 0 0 1 0\n";
+    let files = ["a.txt", "b.txt"].map(|name| place.data.join(name));
+    for file in &files {
+        fs::write(file, line).unwrap();
+    }
+    let [truth, estimate] = [0, 1].map(|i: usize| text(&files[i]));
+    let odometry = ["eval", "odometry", "--gt", truth, "--est", estimate];
+    let depth = ["eval", "depth", "--gt", text(&place.data), "--pred", text(&place.data)];
+    for (command, flag, value) in [
+        (odometry, "--looks", "2"),
+        (odometry, "--data", "k"),
+        (odometry, "--sequences", "00"),
+        (odometry, "--run", "r"),
+        (depth, "--data", "k"),
+        (depth, "--sequences", "00"),
+        (depth, "--run", "r"),
+    ] {
+        let ran = dimode(&[&command[..], &[flag, value]].concat());
+        ran.code_is(2);
+        assert!(ran.err.contains(&format!("'{flag} <")) && ran.err.contains("cannot be used with"), "{}", ran.err);
+    }
+    let tolerance = dimode(&[&odometry[..], &["--max-time-difference=-1"]].concat());
+    tolerance.refused(2, &["max_time_difference = -1", "0 or more"]);
+}
+
+#[test]
+fn sequences_without_a_name_or_named_twice_are_refused() {
+    let place = place(3);
+    let out = text(&place.out);
+    let train = |names: &str| dimode(&["train", "--data", text(&place.data), "--sequences", names, "--out", out]);
+    train("").refused(2, &["a name is empty", "fix: name every sequence, or none to take all"]);
+    train("data,data").refused(2, &["sequence data is named twice", "fix: name it once"]);
+    assert!(!place.out.exists());
+}
+
 impl Ran {
     #[track_caller]
     fn code_is(&self, code: i32) {

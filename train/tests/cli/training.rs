@@ -106,6 +106,14 @@ fn a_run_leaves_report_metrics_log_and_can_be_used() {
     assert_ne!(motion(&["--looks", "1"])["rows"][0], metrics["motion"]["rows"][0]);
     dimode(&["eval", "odometry", "--run", text(&run), "--looks", "99"]).refused(2, &["nets.pose_test_iterations = 99"]);
 
+    let on_worlds = ["eval", "odometry", "--run", text(&run)];
+    let table = dimode(&on_worlds).succeeded();
+    assert!(table.starts_with("Motion: synthetic-street-held-out-1, 2 frame pairs in 1 sequence ("), "{table}");
+    dimode(&[&on_worlds[..], &["--sequences", "00"]].concat()).refused(2, &["embedded worlds", "fix: name a folder with --data"]);
+    let report = fs::read_to_string(run.join("report.html")).unwrap().replace("&#x2f;", "/");
+    assert!(report.contains(&format!("<h1>DiMoDE run: {}</h1>", run.display())));
+    assert!(report.contains("Depth: synthetic-street-held-out-1, not trained on, 3 frames ("));
+
     let (data, out) = (place.path("frames"), place.path("predicted"));
     crate::frames(&data, 4);
     let infer = ["infer", "--run", text(&run), "--data", text(&data), "--out", text(&out), "--json"];

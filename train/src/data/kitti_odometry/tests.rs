@@ -111,6 +111,18 @@ fn missing_parts_are_named() {
 }
 
 #[test]
+fn every_wanted_sequence_has_a_name_and_is_named_once() {
+    let folder = layout();
+    let refused = |names: [&str; 2]| {
+        let wish = LoadOptions { sequences: names.map(str::to_owned).into(), ..LoadOptions::default() };
+        open_kitti_odometry(folder.path(), &wish).err().unwrap().to_string()
+    };
+    assert_eq!(refused(["06", "6"]), r#"sequences = ["06", "6"]: sequence 06 is named twice; name it once"#);
+    let empty = refused(["00", ""]);
+    assert!(empty.contains("a name is empty; name every sequence"), "{empty}");
+}
+
+#[test]
 fn too_few_frames_are_refused() {
     let folder = layout();
     fs::remove_file(frame_path(&folder, "000003.png")).unwrap();
