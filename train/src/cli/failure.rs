@@ -77,9 +77,14 @@ fn is_usage(error: &anyhow::Error) -> bool {
         cause.is::<ConfigError>()
             || cause.is::<RunError>()
             || cause.is::<UsageError>()
-            || matches!(cause.downcast_ref(), Some(DataError::Option { .. } | DataError::Occupied { .. }))
+            || cause.downcast_ref().is_some_and(is_usage_of_data)
             || matches!(cause.downcast_ref(), Some(EvalError::Option { .. }))
     })
+}
+
+fn is_usage_of_data(error: &DataError) -> bool {
+    use DataError::{NotEmpty, NotOurs, Occupied, Option, StagingTaken};
+    matches!(error, Option { .. } | Occupied { .. } | NotOurs { .. } | NotEmpty { .. } | StagingTaken { .. })
 }
 
 /// `error: what`, and `  fix: what to do` where the error tells.

@@ -39,7 +39,7 @@ pub enum Family {
 #[derive(Debug, Args)]
 #[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct SynthArgs {
-    /// Folder to write; must be new or empty
+    /// Folder to write; must be new or empty, or written by this command and replaced with --force
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Kind of world

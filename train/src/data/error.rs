@@ -91,10 +91,28 @@ pub enum DataError {
         /// What to do about it.
         advice: String,
     },
-    /// A place that may not be overwritten is occupied.
-    #[error("{}: exists and is not empty; name another place, remove it, or ask for overwriting", path.display())]
+    /// A folder that this program wrote and may replace is there, and replacing was not asked for.
+    #[error("{}: already written; name another folder, or add --force to replace this one", path.display())]
     Occupied {
         /// The folder.
+        path: PathBuf,
+    },
+    /// The folder to replace holds something else than what `dimode synth` writes.
+    #[error("{}: not empty, and not made by 'dimode synth'; name another folder, --force will not replace this one", path.display())]
+    NotOurs {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// The place for new files is taken, and the command replaces nothing.
+    #[error("{}: already there; name a folder that is new or empty", path.display())]
+    NotEmpty {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// Something else has the name under which output is prepared.
+    #[error("{}: in the way, output is prepared under this name; move it away, or write to another folder", path.display())]
+    StagingTaken {
+        /// The file or folder.
         path: PathBuf,
     },
     /// An option that cannot be used as given.

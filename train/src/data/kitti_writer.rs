@@ -17,7 +17,7 @@ use std::path::Path;
 use dimode_geometry::Se3;
 
 use super::calib::format_projection;
-use super::staging::Staging;
+use super::staging::{Earlier, Staging};
 use super::{DataError, Dataset, Frame, encode_depth_png, encode_flow_png, encode_rgb_png, format_poses};
 
 /// Seconds between frames of a dataset that does not tell its times: the 10 Hz of KITTI.
@@ -44,16 +44,16 @@ pub struct WriteSummary {
 /// all. `overwrite` allows to replace a folder that this function wrote. After each frame `progress` is told (frames done, all
 /// frames); an error from it ends the work.
 ///
-/// **Errors** [`DataError::Occupied`] when `root` is not empty and `overwrite` is not set, or it was not written here, or it holds
-/// anything that is not of this layout; [`DataError::Write`] when the system refuses; errors of the dataset and of `progress`.
-/// What was begun is removed.
+/// **Errors** [`DataError::Occupied`] when `root` was written here and `overwrite` is not set, [`DataError::NotOurs`] when it was
+/// not written here or holds anything that is not of this layout; [`DataError::Write`] when the system refuses; errors of the
+/// dataset and of `progress`. What was begun is removed.
 pub fn write_kitti<E: From<DataError>>(
     dataset: &dyn Dataset,
     root: &Path,
     overwrite: bool,
     progress: &mut dyn FnMut(usize, usize) -> Result<(), E>,
 ) -> Result<WriteSummary, E> {
-    let staging = Staging::new(root, overwrite.then_some(&LAYOUT[..]))?;
+    let staging = Staging::new(root, Earlier::Replace { entries: &LAYOUT, asked: overwrite })?;
     staging.fill(|folder| write_all(dataset, folder, progress))
 }
 
@@ -267,7 +267,7 @@ mod tests {
         fs::create_dir(&root).unwrap();
         write(false, &root, false).unwrap();
         let message = write(false, &root, false).unwrap_err().to_string();
-        assert!(message.contains("out: exists and is not empty"), "{message}");
+        assert!(message.contains("out: already written") && message.contains("add --force"), "{message}");
         fs::create_dir_all(root.join("sequences/77")).unwrap();
         write(false, &root, true).unwrap();
         assert!(!root.join("sequences/77").exists());

@@ -9,6 +9,20 @@ use super::DataError;
 /// A file that says that a folder was made by this program and may be replaced by it.
 const MARKER: &str = ".dimode";
 
+/// What becomes of a folder that is at the place already.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Earlier<'a> {
+    /// Only an empty one gives way.
+    Keep,
+    /// One that an earlier [`Staging::fill`] made is replaced if it holds nothing but these entries and it was asked for.
+    Replace {
+        /// Names of the entries.
+        entries: &'a [&'a str],
+        /// Whether it was asked for.
+        asked: bool,
+    },
+}
+
 /// A place for a folder whose content is prepared beside it, in `NAME.partial`.
 #[derive(Debug)]
 pub(crate) struct Staging<'a> {
@@ -16,27 +30,25 @@ pub(crate) struct Staging<'a> {
     named: PathBuf,
     /// The same, absolute.
     place: PathBuf,
-    /// What an earlier folder at the place may hold if it is to be replaced.
-    replaceable: Option<&'a [&'a str]>,
+    earlier: Earlier<'a>,
 }
 
 impl<'a> Staging<'a> {
-    /// A place that must be free: nothing there, or an empty folder. Where `replaceable` is given, a folder that an earlier
-    /// [`Staging::fill`] made will be replaced if it holds nothing but entries of these names. Touches nothing.
+    /// A place that must be free: nothing there, an empty folder, or an earlier one that may be replaced. Touches nothing.
     ///
-    /// **Errors** [`DataError::Occupied`] when the place is taken, [`DataError::Write`] when a file is there or the system refuses.
-    pub fn new(place: &Path, replaceable: Option<&'a [&'a str]>) -> Result<Self, DataError> {
+    /// **Errors** [`DataError::Occupied`], [`DataError::NotOurs`] or [`DataError::NotEmpty`] when the place is taken,
+    /// [`DataError::Write`] when a file is there or the system refuses.
+    pub fn new(place: &Path, earlier: Earlier<'a>) -> Result<Self, DataError> {
         let named = place.to_owned();
         let place = std::path::absolute(place).map_err(|error| DataError::write(&named, error))?;
-        let staging = Self { named, place, replaceable };
+        let staging = Self { named, place, earlier };
         staging.check_place()?;
         Ok(staging)
     }
 
     /// Lets `content` write into the folder that then takes the place. What was begun is removed after an error.
     ///
-    /// **Errors** those of `content`; [`DataError::Occupied`] when the place, or `NAME.partial`, was taken by something else;
-    /// [`DataError::Write`] when the system refuses.
+    /// **Errors** those of `content` and of [`Staging::new`]; [`DataError::StagingTaken`] when `NAME.partial` is something else.
     pub fn fill<R, E: From<DataError>>(&self, content: impl FnOnce(&Path) -> Result<R, E>) -> Result<R, E> {
         let partial = self.beside("partial");
         clear_partial(&partial)?;
@@ -52,17 +64,24 @@ impl<'a> Staging<'a> {
     }
 
     fn check_place(&self) -> Result<(), DataError> {
-        match entries(&self.place) {
-            Ok(names) if names.is_empty() || self.may_replace(&names) => Ok(()),
-            Ok(_) => Err(DataError::Occupied { path: self.named.clone() }),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-            Err(error) => Err(DataError::write(&self.named, error)),
+        let names = match entries(&self.place) {
+            Ok(names) => names,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+            Err(error) => return Err(DataError::write(&self.named, error)),
+        };
+        let path = self.named.clone();
+        match self.earlier {
+            _ if names.is_empty() => Ok(()),
+            Earlier::Keep => Err(DataError::NotEmpty { path }),
+            Earlier::Replace { entries, asked } => {
+                let known = |name: &String| name == MARKER || entries.contains(&name.as_str());
+                match is_ours(&self.place) && names.iter().all(known) {
+                    true if asked => Ok(()),
+                    true => Err(DataError::Occupied { path }),
+                    false => Err(DataError::NotOurs { path }),
+                }
+            }
         }
-    }
-
-    fn may_replace(&self, names: &[String]) -> bool {
-        let known = |name: &String| name == MARKER || self.replaceable.is_some_and(|all| all.contains(&name.as_str()));
-        self.replaceable.is_some() && is_ours(&self.place) && names.iter().all(known)
     }
 
     /// Moves the finished folder to its name; an old one steps aside first and is removed last.
@@ -101,7 +120,7 @@ fn clear_partial(partial: &Path) -> Result<(), DataError> {
         return Ok(());
     }
     if !is_ours(partial) {
-        return Err(DataError::Occupied { path: partial.to_owned() });
+        return Err(DataError::StagingTaken { path: partial.to_owned() });
     }
     fs::remove_dir_all(partial).map_err(|error| DataError::write(partial, error))
 }
@@ -124,8 +143,8 @@ mod tests {
     const FORM: &[&str] = &["a"];
 
     /// Writes `a/TEXT` to `out`, where an earlier folder of that form may be replaced if asked for.
-    fn write(out: &Path, text: &str, replace: bool) -> Result<(), DataError> {
-        Staging::new(out, replace.then_some(FORM))?.fill(|folder| {
+    fn write(out: &Path, text: &str, asked: bool) -> Result<(), DataError> {
+        Staging::new(out, Earlier::Replace { entries: FORM, asked })?.fill(|folder| {
             fs::create_dir(folder.join("a")).unwrap();
             fs::write(folder.join("a").join(text), "x").unwrap();
             Ok(())
@@ -154,12 +173,11 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let out = place.path().join("out");
         write(&out, "1", false).unwrap();
-        let message = write(&out, "2", false).unwrap_err().to_string();
-        assert!(message.contains("out: exists and is not empty"), "{message}");
+        assert!(matches!(write(&out, "2", false), Err(DataError::Occupied { .. })));
         write(&out, "2", true).unwrap();
         assert!(out.join("a/2").is_file() && !out.join("a/1").exists());
         fs::write(out.join("thesis.txt"), "precious").unwrap();
-        assert!(matches!(write(&out, "3", true), Err(DataError::Occupied { .. })));
+        assert!(matches!(write(&out, "3", true), Err(DataError::NotOurs { .. })));
         assert!(out.join("thesis.txt").exists());
         assert_eq!(count(place.path()), 1);
     }
@@ -170,8 +188,9 @@ mod tests {
         let out = place.path().join("out");
         fs::create_dir_all(out.join(".git")).unwrap();
         for replace in [false, true] {
-            assert!(matches!(write(&out, "1", replace), Err(DataError::Occupied { .. })));
+            assert!(matches!(write(&out, "1", replace), Err(DataError::NotOurs { .. })));
         }
+        assert!(matches!(Staging::new(&out, Earlier::Keep), Err(DataError::NotEmpty { .. })));
         assert!(out.join(".git").exists());
     }
 
@@ -179,13 +198,13 @@ mod tests {
     fn what_came_in_the_meantime_is_kept() {
         let place = tempfile::tempdir().unwrap();
         let out = place.path().join("out");
-        let staging = Staging::new(&out, None).unwrap();
+        let staging = Staging::new(&out, Earlier::Keep).unwrap();
         let filled = staging.fill(|_| {
             fs::create_dir(&out).unwrap();
             fs::write(out.join("mine.txt"), "x").unwrap();
             Ok::<_, DataError>(())
         });
-        assert!(matches!(filled, Err(DataError::Occupied { .. })));
+        assert!(matches!(filled, Err(DataError::NotEmpty { .. })));
         assert!(out.join("mine.txt").exists());
         assert_eq!(count(place.path()), 1);
     }
@@ -193,7 +212,7 @@ mod tests {
     #[test]
     fn a_failure_leaves_nothing_behind() {
         let place = tempfile::tempdir().unwrap();
-        let staging = Staging::new(&place.path().join("out"), None).unwrap();
+        let staging = Staging::new(&place.path().join("out"), Earlier::Keep).unwrap();
         let failure = staging.fill(|_| Err::<(), _>(DataError::malformed(Path::new("x"), "fails", "nothing")));
         assert!(failure.is_err());
         assert_eq!(count(place.path()), 0);

@@ -9,7 +9,7 @@ use dimode_geometry::Trajectory;
 use serde::Serialize;
 
 use super::{Stopped, TrainedModel, open_frames};
-use crate::data::staging::Staging;
+use crate::data::staging::{Earlier, Staging};
 use crate::data::{DataError, Dataset, Map, write_atomic, write_depth_png};
 use crate::progress::Progress;
 use crate::report::picture::Picture;
@@ -50,7 +50,7 @@ pub struct SequenceSummary {
 ///
 /// **Errors** of the run, of the data, what the system refuses, and [`Stopped`] soon after `stop` is set.
 pub fn infer(request: &InferRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<SequenceSummary>> {
-    let staging = Staging::new(&request.out, None)?;
+    let staging = Staging::new(&request.out, Earlier::Keep)?;
     let model = TrainedModel::load(&request.run)?;
     let mut data = model.config.data.clone();
     data.sequences.clone_from(&request.sequences);

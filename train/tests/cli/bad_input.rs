@@ -160,7 +160,7 @@ fn predictions_need_a_run_data_and_a_free_place() {
     let place = place(3);
     let infer = |run: &Path, out: &Path| dimode(&["infer", "--run", text(run), "--data", text(&place.data), "--out", text(out)]);
     infer(&place.data, &place.out).refused(2, &["no run found"]);
-    infer(&place.data, &place.data).refused(2, &["not empty"]);
+    infer(&place.data, &place.data).refused(2, &["already there", "fix: name a folder that is new or empty"]);
     assert!(!place.out.exists());
 }
 

@@ -56,15 +56,17 @@ fn folders_are_replaced_only_when_asked() {
     let place = tempfile::tempdir().unwrap();
     let out = place.path().join("worlds");
     synth(&out, &[]).succeeded();
-    synth(&out, &[]).refused(2, &["not empty"]);
+    synth(&out, &[]).refused(2, &["already written", "add --force"]);
     synth(&out, &["--force"]).succeeded();
     fs::write(out.join("mine.txt"), "x").unwrap();
-    synth(&out, &["--force"]).refused(2, &["not empty"]);
+    let not_ours = ["not made by 'dimode synth'", "fix: name another folder, --force will not replace this one"];
+    synth(&out, &["--force"]).refused(2, &not_ours);
+    synth(&out, &[]).refused(2, &not_ours);
     assert!(out.join("mine.txt").exists());
     let other = place.path().join("of another program");
     fs::create_dir_all(other.join("sequences/00")).unwrap();
     fs::write(other.join("sequences/00/mine.txt"), "x").unwrap();
-    synth(&other, &["--force"]).refused(2, &["not empty"]);
+    synth(&other, &["--force"]).refused(2, &not_ours);
     assert!(other.join("sequences/00/mine.txt").exists());
 }
 

@@ -146,10 +146,10 @@ fn a_run_leaves_report_metrics_log_and_can_be_used() {
     }
     let last = Trajectory::parse_kitti(&trajectory, &sequence).unwrap().path_length();
     assert!((last / (unit * path) - 1.0).abs() < 1e-6);
-    dimode(&infer).refused(2, &["not empty"]);
+    dimode(&infer).refused(2, &["predicted: already there", "fix: name a folder that is new or empty"]);
     fs::create_dir(place.path("other.partial")).unwrap();
     let beside = ["infer", "--run", text(&run), "--data", text(&data), "--out", text(&place.path("other"))].map(str::to_owned);
-    dimode(&beside.each_ref().map(String::as_str)).refused(2, &["other.partial", "not empty"]);
+    dimode(&beside.each_ref().map(String::as_str)).refused(2, &["other.partial: in the way", "fix: move it away"]);
     assert!(place.path("other.partial").exists(), "what others made stays");
 
     let (single, out) = (place.path("single"), place.path("depth of one"));
