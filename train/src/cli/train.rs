@@ -22,8 +22,8 @@ DIR of --data is one of
   a KITTI odometry folder    DIR/sequences/NN/image_2/*.png (or image_0), calib.txt, and if you have them DIR/poses/NN.txt
   a folder of frames         DIR/*.png or *.jpg in the order of their names, and DIR/intrinsics.txt
 
-Every setting has a name in a TOML file (--config); --print-config shows all of them with their values. Flags win over the \
-file, the file wins over the defaults.";
+Every setting has a name in a TOML file (--config); --print-config shows all of them with their values, and those \
+without a value as comments. Flags win over the file, the file wins over the defaults.";
 
 const EXAMPLES: &str = "\
 Examples:
@@ -114,7 +114,7 @@ pub struct TrainArgs {
     /// Print the metrics as JSON instead of tables
     #[arg(long)]
     json: bool,
-    /// Print all settings as TOML and end
+    /// Print all settings as TOML, those without a value as comments, and end
     #[arg(long)]
     print_config: bool,
 }

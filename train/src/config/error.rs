@@ -18,7 +18,7 @@ pub enum ConfigError {
         #[source]
         source: io::Error,
     },
-    /// The text is not TOML, or a value has the wrong type.
+    /// The text is not TOML, or lacks a part of a stage.
     #[error("{}{}: {reason}", path.display(), at(*line))]
     Syntax {
         /// The file.
@@ -27,6 +27,20 @@ pub enum ConfigError {
         line: usize,
         /// What the parser found.
         reason: String,
+    },
+    /// A value of the wrong kind, for instance a text in place of a number.
+    #[error("{}{}: {key} must be {kind}; {advice}", path.display(), at(*line))]
+    WrongKind {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1; 0 where there is no file.
+        line: usize,
+        /// The key with its table.
+        key: String,
+        /// What the value must be, for instance `a whole number, 0 or more`.
+        kind: &'static str,
+        /// What to write instead.
+        advice: String,
     },
     /// A key that does not exist.
     #[error("{}{}: unknown key '{key}'; {}", path.display(), at(*line), advice(nearest.as_deref(), known))]

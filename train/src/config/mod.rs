@@ -7,7 +7,9 @@ mod by_name;
 mod data;
 mod error;
 mod eval;
+mod examples;
 mod geometric;
+mod kind;
 mod loss;
 mod nets;
 mod suggest;
@@ -80,8 +82,9 @@ impl Config {
 
     /// Reads a configuration from TOML. `path` is used in messages only.
     ///
-    /// **Errors** [`ConfigError::UnknownKey`], [`ConfigError::UnknownName`] or [`ConfigError::Syntax`], with the line. Ranges
-    /// are not checked here but by [`Config::validate`], because flags may still change values.
+    /// **Errors** [`ConfigError::UnknownKey`], [`ConfigError::UnknownName`], [`ConfigError::WrongKind`] or
+    /// [`ConfigError::Syntax`], with the line. Ranges are not checked here but by [`Config::validate`], because flags may still
+    /// change values.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, ConfigError> {
         toml::from_str(text).map_err(|error| suggest::explain(&error, text, path))
     }
@@ -116,9 +119,12 @@ impl Config {
         }
     }
 
-    /// The configuration as TOML; [`Config::from_toml`] gives back an equal one.
+    /// The configuration as TOML, with a comment for each setting that has no value; [`Config::from_toml`] gives back an equal
+    /// one.
     pub fn to_toml(&self) -> String {
-        toml::to_string_pretty(self).expect("a configuration holds only what TOML can hold")
+        let whole = toml::Table::try_from(self).expect("a configuration holds only what TOML can hold");
+        let text = toml::to_string_pretty(self).expect("a configuration holds only what TOML can hold");
+        examples::add_unset(text, &whole)
     }
 
     /// Checks every range.

@@ -1,8 +1,10 @@
-//! From a parser's complaint to a message that names the nearest word that exists.
+//! From a parser's complaint to a message that names the key, and the nearest word that exists.
 
 use std::path::Path;
 
-use super::{Config, ConfigError};
+use super::ConfigError;
+use super::examples::every_setting;
+use super::kind::{Kind, kind_of};
 
 /// Turns an error of the TOML reader into one that says what to change. `text` is empty for values without a file.
 pub(super) fn explain(error: &toml::de::Error, text: &str, path: &Path) -> ConfigError {
@@ -12,16 +14,36 @@ pub(super) fn explain(error: &toml::de::Error, text: &str, path: &Path) -> Confi
     let quoted = quoted_words(message);
     match quoted.split_first() {
         Some((key, known)) if message.starts_with("unknown field") => {
-            let nearest = nearest(key, known.iter().map(String::as_str)).map(str::to_owned);
-            let nearest = key_of_another_table(key, known).or(nearest);
+            let nearest = nearest_key(key, known);
             ConfigError::UnknownKey { path, line, key: key.clone(), nearest, known: known.to_vec() }
         }
         Some((value, known)) if message.starts_with("unknown variant") => {
             let nearest = nearest(value, known.iter().map(String::as_str)).map(str::to_owned);
             ConfigError::UnknownName { path, line, value: value.clone(), nearest, known: known.to_vec() }
         }
-        _ => ConfigError::Syntax { path, line, reason: message.trim().replace('\n', ", ") },
+        Some((key, _)) if message.starts_with("missing field") => {
+            let table = key_of(error).unwrap_or_default();
+            ConfigError::Syntax { path, line, reason: format!("'{key}' is missing in {table}; add it") }
+        }
+        _ => match key_of(error).filter(|_| is_about_kind(message)).and_then(|key| Some((kind_of(&key)?, key))) {
+            Some((Kind { name, advice }, key)) => ConfigError::WrongKind { path, line, key, kind: name, advice },
+            None => ConfigError::Syntax { path, line, reason: message.trim().replace('\n', ", ") },
+        },
     }
+}
+
+/// Whether the reader met a value of another type, range or length than a setting has.
+fn is_about_kind(message: &str) -> bool {
+    ["invalid type", "invalid value", "invalid length", "wanted string or table"].iter().any(|start| message.starts_with(start))
+}
+
+/// `table.key` of the value that the reader gave up at.
+fn key_of(error: &toml::de::Error) -> Option<String> {
+    let mut error = error.clone();
+    // With the text at hand the report would show its line in place of the key.
+    error.set_input(None);
+    let report = error.to_string();
+    report.lines().last()?.strip_prefix("in `")?.strip_suffix('`').map(str::to_owned)
 }
 
 fn line_of(text: &str, offset: usize) -> usize {
@@ -33,34 +55,36 @@ fn quoted_words(message: &str) -> Vec<String> {
     message.split('`').skip(1).step_by(2).map(str::to_owned).collect()
 }
 
-/// `table.key` when exactly this key exists, but in a table other than the one it was written in.
-fn key_of_another_table(key: &str, known_here: &[String]) -> Option<String> {
-    if known_here.iter().any(|known| known == key) {
-        return None;
-    }
-    let everything = toml::Table::try_from(Config::default()).ok()?;
-    find_key(&everything, key, "")
+/// What an unknown key was meant to be: `table.key` when exactly this key exists in another table, else the nearest of the
+/// `known` ones of its table, else `table.key` for one of another table that is almost the same.
+fn nearest_key(key: &str, known: &[String]) -> Option<String> {
+    let mut all = Vec::new();
+    list_keys(&every_setting(), "", &mut all);
+    let elsewhere = |wanted: &str| all.iter().find(|(_, name)| name == wanted).map(|(path, _)| path.clone());
+    let here = || nearest(key, known.iter().map(String::as_str)).map(str::to_owned);
+    let almost = || nearest_within(key.chars().count().max(4) / 4, key, all.iter().map(|(_, name)| name.as_str()));
+    elsewhere(key).or_else(here).or_else(|| elsewhere(almost()?))
 }
 
-fn find_key(table: &toml::Table, key: &str, prefix: &str) -> Option<String> {
+/// Adds every key below `table` as (`table.key`, `key`).
+fn list_keys(table: &toml::Table, prefix: &str, keys: &mut Vec<(String, String)>) {
     for (name, value) in table {
-        if name == key {
-            return Some(format!("{prefix}{name}"));
-        }
+        let path = format!("{prefix}{name}");
+        keys.push((path.clone(), name.clone()));
         if let toml::Value::Table(inner) = value {
-            let found = find_key(inner, key, &format!("{prefix}{name}."));
-            if found.is_some() {
-                return found;
-            }
+            list_keys(inner, &format!("{path}."), keys);
         }
     }
-    None
 }
 
 /// The word among `known` that is fewest edits (insert, delete, replace, swap neighbours) away from `word`; none when even
 /// that one shares little with it. The first wins among equals.
 pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    let limit = (word.chars().count().max(3)) / 2;
+    nearest_within(word.chars().count().max(3) / 2, word, known)
+}
+
+/// [`nearest`] with at most `limit` edits.
+fn nearest_within<'a>(limit: usize, word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let folded = fold(word);
     known
         .into_iter()

@@ -35,8 +35,32 @@ fn unknown_key_names_line_and_nearest_key() {
 
 #[test]
 fn key_of_another_table_is_named_with_its_table() {
-    let message = refusal("learning_rate = 0.1\n");
-    assert!(message.contains("did you mean 'train.learning_rate'?"), "{message}");
+    for (text, meant) in [
+        ("learning_rate = 0.1\n", "train.learning_rate"),
+        ("lerning_rate = 0.1\n", "train.learning_rate"),
+        ("only_stages = [1]\n", "train.only_stages"),
+        ("onlystages = [1]\n", "train.only_stages"),
+        ("[train]\nonly_stage = [1]\n", "only_stages"),
+        ("path = \"frames\"\n", "data.path"),
+        ("[train]\npath = \"frames\"\n", "data.path"),
+        ("[data]\npaht = \"frames\"\n", "path"),
+    ] {
+        let message = refusal(text);
+        assert!(message.ends_with(&format!("; did you mean '{meant}'?")), "{message}");
+    }
+}
+
+#[test]
+fn unset_settings_are_shown_as_comments() {
+    let text = Config::default().to_toml();
+    let comments: Vec<&str> = text.lines().filter(|line| line.starts_with("# ")).collect();
+    assert!(comments[0].starts_with("# path = \"frames\"  # folder of real frames"), "{comments:?}");
+    assert!(comments[1].starts_with("# only_stages = [1, 2]  # train only these stages"), "{comments:?}");
+    assert_eq!((comments.len(), parse(&text).unwrap()), (2, Config::default()));
+    let uncommented = parse(&text.replace("\n# ", "\n")).unwrap();
+    assert_eq!(uncommented.data.path.as_deref(), Some(Path::new("frames")));
+    assert_eq!(uncommented.train.only_stages, Some(vec![1, 2]));
+    assert!(!uncommented.to_toml().contains('#'));
 }
 
 #[test]
@@ -54,8 +78,33 @@ fn unknown_names_of_choices_are_refused_with_the_nearest() {
 }
 
 #[test]
-fn wrong_types_and_broken_toml_name_the_line() {
-    assert!(refusal("seed = \"one\"").starts_with("run.toml:1: "));
+fn values_of_the_wrong_kind_name_line_key_and_kind() {
+    for (text, told) in [
+        ("seed = \"one\"", "1: seed must be a whole number, 0 or more; write for instance seed = 1"),
+        ("[train]\nsteps = -3", "2: train.steps must be a whole number, 0 or more; write for instance train.steps = 3600"),
+        ("[train]\nlearning_rate = \"x\"", "2: train.learning_rate must be a number; "),
+        ("[train]\nflip = 3", "2: train.flip must be true or false; write for instance train.flip = true"),
+        ("[train]\nonly_stages = 1", "2: train.only_stages must be a list of whole numbers; "),
+        ("[train]\nbetas = [0.9]", "2: train.betas must be a list of numbers; write for instance train.betas = [0.9, 0.999]"),
+        ("train = 3", "1: train must be a table; set what is in it, for instance train."),
+        ("[data]\npath = 3", "2: data.path must be a text; "),
+        ("[data]\npreset = 3", "2: data.preset must be a text; "),
+        ("[data]\nsequences = [1]", "2: data.sequences must be a list of texts; "),
+        ("[nets]\ndepth = 3", "2: nets.depth must be a text; "),
+        ("[[train.stages]]\nname = \"a\"\nshare = \"x\"", "3: train.stages.share must be a number; "),
+        ("[[train.stages]]\nname = \"a\"", "1: 'share' is missing in train.stages; add it"),
+    ] {
+        let message = refusal(text);
+        assert!(message.starts_with(&format!("run.toml:{told}")), "{message}");
+        let table: toml::Table = toml::from_str(text).unwrap();
+        let message = Config::from_table(table, "--set").unwrap_err().to_string();
+        let (_, told) = told.split_once(": ").unwrap();
+        assert!(message.starts_with(&format!("--set: {told}")), "{message}");
+    }
+}
+
+#[test]
+fn broken_toml_names_the_line() {
     assert!(refusal("seed = 1\n[train\n").starts_with("run.toml:2: "));
 }
 

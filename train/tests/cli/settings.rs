@@ -41,6 +41,13 @@ fn values_out_of_range_are_refused() {
 }
 
 #[test]
+fn values_of_the_wrong_kind_are_refused_with_an_example() {
+    let kind = ["train.steps must be a whole number, 0 or more", "fix: write for instance train.steps = 3600"];
+    dimode(&["train", "--set", "train.steps=x", "--print-config"]).refused(2, &kind);
+    dimode(&["train", "--set", "train=3", "--print-config"]).refused(2, &["train must be a table", "fix: set what is in it"]);
+}
+
+#[test]
 fn a_missing_configuration_file_is_named() {
     dimode(&["train", "--config", "no-such.toml"]).refused(2, &["no-such.toml", "--config"]);
 }
