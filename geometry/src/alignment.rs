@@ -5,6 +5,7 @@
 //! the planar flow is purely tangential, the axial flow purely radial.
 
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::camera::Intrinsics;
 use crate::motion::{radial_part, tangential_part};
@@ -15,7 +16,8 @@ use crate::so3::hat;
 ///
 /// **Reading**: eq. `pplanar` subtracts a part of `t` after `R^-1`. As `R^-1 P_s = P_t + R^T t`, that is
 /// exact only where `R t = t`; what is left otherwise is `(R^T - I) t`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Convention {
     /// `a = t`, the equation as printed.
     AsPrinted,

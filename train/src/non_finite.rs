@@ -3,7 +3,7 @@
 use crate::batch::Batch;
 
 const ADVICE: &str =
-    "everything before this step is saved; lower train.learning_rate, or choose a robust form of this term in [loss.geometric]";
+    "everything before this step is saved; lower train.learning_rate, or choose another form of this term in [loss.geometric]";
 
 /// A step that could not be taken; weights and optimiser are as before it.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

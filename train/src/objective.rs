@@ -13,7 +13,7 @@ use dimode_geometry::losses as geometric;
 use dimode_geometry::taped::{self, Pose, masks};
 
 use crate::batch::{Batch, join};
-use crate::config::{Config, LossConfig, SCALE_ANCHOR, Sources, StageConfig, StaticMask};
+use crate::config::{Config, LossConfig, SCALE_ANCHOR, Sources, StageConfig};
 use crate::losses::flow_consistency::flow_consistency;
 use crate::losses::local_structure::local_structure;
 use crate::losses::min_reprojection::min_reprojection;
@@ -284,13 +284,9 @@ impl<'a, 'l> Scene<'a, 'l> {
         if !needs_source_depth(stage) {
             return;
         }
-        let options = self.config.loss.geometric.options();
+        let options = &self.config.loss.geometric;
         let source = self.leaves.source_disparity.expect("sources were run for this stage");
-        let mask = self.chosen_sources(match self.config.loss.geometric.static_mask {
-            StaticMask::None => visible,
-            StaticMask::Mean => masks::static_pixels(&rigid.value(), flow, Some(&visible)),
-            StaticMask::Relative => masks::relatively_static(&rigid.value(), flow, Some(&visible)),
-        });
+        let mask = self.chosen_sources(options.static_mask.among(visible, &rigid.value(), flow));
         let inputs = geometric::PairInputs {
             target_depth: self.depth,
             source_depth: self.range.depth(source),
@@ -300,7 +296,7 @@ impl<'a, 'l> Scene<'a, 'l> {
             intrinsics: &self.cameras,
             mask: &mask,
         };
-        let pair = geometric::AlignedPair::new(&inputs, &options);
+        let pair = geometric::AlignedPair::new(&inputs, options);
         type Loss<'l> = fn(&geometric::AlignedPair<'l, f32>, &geometric::LossOptions) -> geometric::LossTerm<'l, f32>;
         let losses: [(_, _, Loss<'l>); 4] = [
             ("l_pla", stage.lambda1, geometric::planar),
@@ -310,7 +306,7 @@ impl<'a, 'l> Scene<'a, 'l> {
         ];
         for (name, weight, loss) in losses {
             if weight > 0.0 {
-                let measured = loss(&pair, &options);
+                let measured = loss(&pair, options);
                 let pixels = measured.counts.iter().sum::<usize>() as f64;
                 let valid = pixels / mask.shape().len() as f64;
                 terms.push(Term { name, weight, value: measured.mean, valid });

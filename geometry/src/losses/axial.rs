@@ -1,6 +1,7 @@
 //! `L_axi`: axial flows of a static scene point along the radius (eq. `la`).
 
 use dimode_autodiff::{Scalar, Tensor, Var};
+use serde::{Deserialize, Serialize};
 
 use super::pair::AxialProducts;
 use super::{AlignedPair, LossOptions, LossTerm};
@@ -8,8 +9,9 @@ use crate::taped::masks;
 use crate::taped::smooth::{length, soft_abs};
 
 /// Forms of `L_axi`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AxialVariant {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AxialForm {
     /// Mean of `arccos(f . d / (|f| |d|))`, rad, as printed: pi at the truth of a source behind the target.
     Literal,
     /// The same angle by `atan2(|f x d|, f . d)`, with thresholds.
@@ -26,13 +28,13 @@ pub enum AxialVariant {
 #[must_use]
 pub fn axial<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
     let (per_image, mask) = match options.axial {
-        AxialVariant::Literal => literal(pair),
-        AxialVariant::PerpendicularPixels => perpendicular(pair, options),
-        AxialVariant::Signed => angle(pair, options, |p| p.along),
-        AxialVariant::Folded => angle(pair, options, |p| p.along.abs()),
-        AxialVariant::PoseSign => angle(pair, options, |p| p.along.mul(pose_sign(pair))),
+        AxialForm::Literal => literal(pair),
+        AxialForm::PerpendicularPixels => perpendicular(pair, options),
+        AxialForm::Signed => angle(pair, options, |p| p.along),
+        AxialForm::Folded => angle(pair, options, |p| p.along.abs()),
+        AxialForm::PoseSign => angle(pair, options, |p| p.along.mul(pose_sign(pair))),
     };
-    LossTerm::new(per_image, &mask, options.min_valid_fraction)
+    LossTerm::new(per_image, &mask, options.min_valid_share)
 }
 
 /// `-sign(a_z)` at every pixel, without gradient.
@@ -42,14 +44,14 @@ fn pose_sign<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Var<'t, T> {
     pair.constant(&sign)
 }
 
-/// Pixels at least `q_min` from the principal point with axial flow longer than `tau_f`.
-fn directed<T: Scalar>(pair: &AlignedPair<'_, T>, q_min: f64, tau_f: f64) -> Tensor<T> {
+/// Pixels at least `q_min` from the principal point with axial flow longer than `tau_flow`.
+fn directed<T: Scalar>(pair: &AlignedPair<'_, T>, q_min: f64, tau_flow: f64) -> Tensor<T> {
     let (flow, radius) = (pair.axial_flow.value(), &pair.radius);
     masks::and_where(&pair.mask, |n| {
         let (u, v, radius) = (flow.plane(n, 0), flow.plane(n, 1), radius.plane(n, 0));
         move |i| {
             let (u, v, r) = (u[i].to_f64(), v[i].to_f64(), radius[i].to_f64());
-            r > 0.0 && r >= q_min && u * u + v * v > tau_f * tau_f
+            r > 0.0 && r >= q_min && u * u + v * v > tau_flow * tau_flow
         }
     })
 }
@@ -71,7 +73,7 @@ fn angle<'t, T: Scalar>(
     options: &LossOptions,
     cosine: impl Fn(AxialProducts<'t, T>) -> Var<'t, T>,
 ) -> (Var<'t, T>, Tensor<T>) {
-    let mask = directed(pair, options.q_min, options.tau_f);
+    let mask = directed(pair, options.q_min, options.tau_flow);
     let products = pair.axial_products(&mask);
     let across = pair.keep(products.across.abs(), &mask, 0.0);
     let along = pair.keep(cosine(products), &mask, 1.0);
@@ -86,5 +88,5 @@ fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions
         move |i| radius[i].to_f64() > q_min
     });
     let distance = pair.axial_products(&mask).across.div(pair.constant(&pair.radius_from(q_min)));
-    (pair.beyond_noise(soft_abs(distance, options.smooth_px)).masked_mean(&mask), mask)
+    (pair.beyond_noise(soft_abs(distance, options.smooth_pixels)).masked_mean(&mask), mask)
 }

@@ -1,4 +1,4 @@
-//! Laws of every loss variant: agreement with the plain sums, zero at the truth, scale, gradients.
+//! Laws of every form of the losses: agreement with the plain sums, zero at the truth, scale, gradients.
 
 use dimode_autodiff::gradcheck::random;
 use dimode_autodiff::{GradCheck, Shape, Tape, Tensor, Var, gradcheck};
@@ -80,23 +80,47 @@ fn values(leaves: &Leaves, options: &LossOptions) -> [Vec<f64>; 4] {
     all(&v, options).map(|t| t.per_image.value().to_vec())
 }
 
-/// Every variant at least once, all with the exact convention.
+/// The printed quantities with every hazard masked, in the exact convention.
+fn robust() -> LossOptions {
+    LossOptions {
+        convention: Convention::Consistent,
+        planar: PlanarForm::Robust,
+        axial: AxialForm::Folded,
+        tangential: TangentialForm::Robust,
+        radial: RadialForm::Robust,
+        ..LossOptions::literal()
+    }
+}
+
+/// The pixel forms of every image and of every residual.
+fn pixels() -> LossOptions {
+    LossOptions {
+        min_tangential_share: 0.0,
+        noise_pixels: 0.0,
+        noise_share: 0.0,
+        min_valid_share: 0.01,
+        detach_source_depth: false,
+        ..LossOptions::default()
+    }
+}
+
+/// Every form at least once, all with the exact convention.
 fn presets() -> Vec<LossOptions> {
-    let base = LossOptions { convention: Convention::Consistent, gate: 50.0, ..LossOptions::robust() };
+    let base = LossOptions { gate: 50.0, ..robust() };
     let literal = LossOptions { convention: Convention::Consistent, ..LossOptions::literal() };
     vec![
         literal,
         base,
-        LossOptions { smooth_px: 0.05, ..LossOptions::pixels() },
-        LossOptions { noise_px: 0.02, noise_share: 0.03, ..LossOptions::pixels() },
+        LossOptions { smooth_pixels: 0.05, ..pixels() },
+        LossOptions { noise_pixels: 0.02, noise_share: 0.03, ..pixels() },
         LossOptions {
-            planar: PlanarVariant::Circular,
-            axial: AxialVariant::PoseSign,
-            tangential: TangentialVariant::InverseRatio,
-            radial: RadialVariant::InverseRatio,
+            planar: PlanarForm::Circular,
+            axial: AxialForm::PoseSign,
+            tangential: TangentialForm::InverseRatio,
+            radial: RadialForm::InverseRatio,
             ..base
         },
-        LossOptions { planar: PlanarVariant::Weighted, axial: AxialVariant::Signed, ..base },
+        LossOptions { planar: PlanarForm::Weighted, axial: AxialForm::Signed, ..base },
     ]
 }
 
@@ -106,10 +130,10 @@ fn exact_static_scenes_cost_nothing_for_either_source() {
         for options in presets() {
             let found = values(&exact(motions(radial)), &options);
             for (term, values) in found.iter().enumerate() {
-                let signed = matches!(options.axial, AxialVariant::Literal | AxialVariant::Signed);
+                let signed = matches!(options.axial, AxialForm::Literal | AxialForm::Signed);
                 let expected = if term == 1 && signed && radial[0] > 0.0 { std::f64::consts::PI } else { 0.0 };
                 for x in values {
-                    let rounded = matches!(options.planar, PlanarVariant::Literal);
+                    let rounded = matches!(options.planar, PlanarForm::Literal);
                     // An arccos near cosine 1 keeps half of the digits.
                     let tolerance = if rounded { 1e-7 } else { 1e-11 };
                     assert!((x - expected).abs() < tolerance, "term {term} of {options:?}: {x}");
@@ -121,7 +145,7 @@ fn exact_static_scenes_cost_nothing_for_either_source() {
 
 #[test]
 fn printed_convention_leaves_a_residual() {
-    let options = LossOptions { convention: Convention::AsPrinted, ..LossOptions::robust() };
+    let options = LossOptions { convention: Convention::AsPrinted, ..robust() };
     let found = values(&exact(motions([-0.5, -0.4])), &options);
     assert!(found[1][0] > 0.01 && found[2][0] > 0.01, "{found:?}");
 }
@@ -154,11 +178,11 @@ fn gradients_match_differences() {
 #[test]
 fn detached_depth_and_direction_receive_no_gradient() {
     // As printed a = t, and the planar flow reads a_z alone: a_x and a_y reach L_pla by the direction only.
-    let base = LossOptions { convention: Convention::AsPrinted, ..LossOptions::pixels() };
+    let base = LossOptions { convention: Convention::AsPrinted, ..pixels() };
     let leaves = perturbed(motions([-0.5, 0.5]));
     // Of L_pla and L_axi, each by source depth and translation.
-    let gradients = |detach_depth_in_alignment: bool, detach_direction: bool| {
-        let options = LossOptions { detach_depth_in_alignment, detach_direction, ..base };
+    let gradients = |detach_source_depth: bool, detach_direction: bool| {
+        let options = LossOptions { detach_source_depth, detach_direction, ..base };
         let tape = Tape::new();
         let v = leaves.clone().map(|x| tape.leaf(x));
         let [pla, axi, ..] = all(&v, &options);
@@ -187,7 +211,7 @@ fn taped_losses_equal_the_plain_sums() {
     let mut compared = [0; 4];
     for options in presets() {
         // Below every radius and flow of this scene, so that the masked forms count all pixels.
-        let options = LossOptions { q_min: 0.1, tau_f: 0.02, ..options };
+        let options = LossOptions { q_min: 0.1, tau_flow: 0.02, ..options };
         let found = values(&leaves, &options);
         let tape = Tape::new();
         let v = leaves.clone().map(|x| tape.leaf(x));
@@ -218,37 +242,37 @@ fn plain(pair: &AlignedPair<'_, f64>, options: &LossOptions, n: usize) -> [Optio
     let (pla, axi) = (list(&pla), list(&axi));
     let d: Vec<_> = (0..H * W).map(|i| Vector2::new((i % W) as f64, (i / W) as f64) - k.principal_point()).collect();
     let direction = Vector2::new(k.fu * a.x, k.fv * a.y);
-    let tip = |x: f64| x.hypot(options.smooth_px) - options.smooth_px;
+    let tip = |x: f64| x.hypot(options.smooth_pixels) - options.smooth_pixels;
     let soft = |x: &dyn Fn(usize) -> f64| {
         let kept: Vec<f64> = (0..H * W).filter(|&i| direction.norm() > options.min_tangential_flow * z[i]).map(x).collect();
         kept.iter().map(|&x| tip(x)).sum::<f64>() / kept.len() as f64
     };
-    let noisy = options.noise_px > 0.0;
+    let noisy = options.noise_pixels > 0.0;
     let planar = match options.planar {
-        PlanarVariant::Literal | PlanarVariant::Robust => loss_forms::planar::printed(&pla),
-        PlanarVariant::Circular => loss_forms::planar::circular(&pla),
-        PlanarVariant::Weighted => loss_forms::planar::weighted(&pla),
-        PlanarVariant::PerpendicularPixels => soft(&|i| pla[i].perp(&direction.normalize())),
+        PlanarForm::Literal | PlanarForm::Robust => loss_forms::planar::printed(&pla),
+        PlanarForm::Circular => loss_forms::planar::circular(&pla),
+        PlanarForm::Weighted => loss_forms::planar::weighted(&pla),
+        PlanarForm::PerpendicularPixels => soft(&|i| pla[i].perp(&direction.normalize())),
     };
-    let short = |f: &[Vector2<f64>]| f.iter().any(|f| f.norm() <= options.tau_f);
+    let short = |f: &[Vector2<f64>]| f.iter().any(|f| f.norm() <= options.tau_flow);
     let near = d.iter().any(|d| d.norm() < options.q_min);
     let planar =
-        (matches!(options.planar, PlanarVariant::Literal | PlanarVariant::PerpendicularPixels) || !short(&pla)).then_some(planar);
+        (matches!(options.planar, PlanarForm::Literal | PlanarForm::PerpendicularPixels) || !short(&pla)).then_some(planar);
     let axial = match options.axial {
-        AxialVariant::Literal => Some(loss_forms::axial::printed(&axi, &d)),
-        AxialVariant::Signed if !near && !short(&axi) => Some(loss_forms::axial::printed(&axi, &d)),
-        AxialVariant::Folded if !near && !short(&axi) => Some(loss_forms::axial::folded(&axi, &d)),
-        AxialVariant::PoseSign if !near && !short(&axi) => Some(loss_forms::axial::pose_sign(&axi, &d, a.z)),
+        AxialForm::Literal => Some(loss_forms::axial::printed(&axi, &d)),
+        AxialForm::Signed if !near && !short(&axi) => Some(loss_forms::axial::printed(&axi, &d)),
+        AxialForm::Folded if !near && !short(&axi) => Some(loss_forms::axial::folded(&axi, &d)),
+        AxialForm::PoseSign if !near && !short(&axi) => Some(loss_forms::axial::pose_sign(&axi, &d, a.z)),
         _ => None,
     };
     let tangential = match options.tangential {
-        TangentialVariant::Literal => Some(loss_forms::tangential::printed(&k, &pla, &z, &a)),
-        TangentialVariant::InverseRatio => Some(loss_forms::tangential::inverse_ratio(&k, &pla, &z, &a)),
+        TangentialForm::Literal => Some(loss_forms::tangential::printed(&k, &pla, &z, &a)),
+        TangentialForm::InverseRatio => Some(loss_forms::tangential::inverse_ratio(&k, &pla, &z, &a)),
         _ => None,
     };
     let radial = match options.radial {
-        RadialVariant::Literal => Some(loss_forms::radial::printed(&axi, &d, &z, &a)),
-        RadialVariant::InverseRatio if !near => Some(loss_forms::radial::inverse_ratio(&axi, &d, &z, &a)),
+        RadialForm::Literal => Some(loss_forms::radial::printed(&axi, &d, &z, &a)),
+        RadialForm::InverseRatio if !near => Some(loss_forms::radial::inverse_ratio(&axi, &d, &z, &a)),
         _ => None,
     };
     // Pixel forms with noise: `noise_comes_off_the_residual_of_every_pixel`.
@@ -257,7 +281,7 @@ fn plain(pair: &AlignedPair<'_, f64>, options: &LossOptions, n: usize) -> [Optio
 
 #[test]
 fn pixel_forms_equal_the_plain_sums() {
-    let options = LossOptions { min_tangential_flow: 0.0, q_min: 0.0, ..LossOptions::pixels() };
+    let options = LossOptions { min_tangential_flow: 0.0, q_min: 0.0, ..pixels() };
     let leaves = perturbed(motions([-0.5, 0.55]));
     let found = values(&leaves, &options);
     let tape = Tape::new();
@@ -287,8 +311,8 @@ fn pixel_forms_equal_the_plain_sums() {
 
 #[test]
 fn noise_comes_off_the_residual_of_every_pixel() {
-    let free = LossOptions { min_tangential_flow: 0.0, q_min: 0.0, ..LossOptions::pixels() };
-    let noisy = LossOptions { noise_px: 0.05, noise_share: 0.1, ..free };
+    let free = LossOptions { min_tangential_flow: 0.0, q_min: 0.0, ..pixels() };
+    let noisy = LossOptions { noise_pixels: 0.05, noise_share: 0.1, ..free };
     let leaves = perturbed(motions([-0.5, 0.55]));
     let (mut within, mut beyond) = ([0; 4], [0; 4]);
     for i in 0..H * W {
@@ -374,7 +398,7 @@ fn planar_pixels_leave_out_images_with_little_tangential_motion() {
     let leaves = perturbed(motions([-0.5, 0.55]));
     let tape = Tape::new();
     let v = leaves.clone().map(|x| tape.leaf(x));
-    let base = LossOptions { min_tangential_flow: 0.0, ..LossOptions::pixels() };
+    let base = LossOptions { min_tangential_flow: 0.0, ..pixels() };
     let pair = pair_of(&v, &masks::everywhere(shape(1)), &base);
     let a = pair.translation.value();
     let share = |n: usize| {

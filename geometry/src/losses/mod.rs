@@ -3,7 +3,7 @@
 //! [`AlignedPair`] prepares one batch of (target, source) pairs; [`planar()`], [`axial()`],
 //! [`tangential()`] and [`radial()`] each turn it into a [`LossTerm`]: one value an image, the number of
 //! pixels behind it, and the mean over images with enough pixels. Pixels of different images or sources are
-//! never pooled. All variants are invariant under a common scale of depths and translation, except
+//! never pooled. All forms are invariant under a common scale of depths and translation, except
 //! where a threshold in depth units acts.
 //!
 //! Arguments at pixels outside a mask are replaced by constants before any division, root or angle, so
@@ -16,13 +16,15 @@ mod options;
 mod pair;
 pub mod planar;
 pub mod radial;
+mod static_mask;
 pub mod tangential;
 mod term;
 
-pub use axial::{AxialVariant, axial};
+pub use axial::{AxialForm, axial};
 pub use options::LossOptions;
 pub use pair::{AlignedPair, PairInputs};
-pub use planar::{PlanarVariant, planar};
-pub use radial::{RadialVariant, radial};
-pub use tangential::{TangentialVariant, tangential};
+pub use planar::{PlanarForm, planar};
+pub use radial::{RadialForm, radial};
+pub use static_mask::StaticMask;
+pub use tangential::{TangentialForm, tangential};
 pub use term::LossTerm;

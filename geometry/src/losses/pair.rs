@@ -52,7 +52,7 @@ pub struct AlignedPair<'t, T: Scalar> {
     pub(crate) d_v: Tensor<T>,
     /// Distances `|p - p0|`, (N,1,H,W), pixels.
     pub(crate) radius: Tensor<T>,
-    /// Residual that the flow's own error may cause, `noise_px + noise_share |f|`, (N,1,H,W), pixels; none when both are 0.
+    /// Residual that the flow's own error may cause, `noise_pixels + noise_share |f|`, (N,1,H,W), pixels; none when both are 0.
     noise: Option<Var<'t, T>>,
     /// Focal lengths along u, (N,1,1,1).
     pub(crate) focal_u: Tensor<T>,
@@ -80,7 +80,7 @@ impl<'t, T: Scalar> AlignedPair<'t, T> {
     #[must_use]
     #[track_caller]
     pub fn from_sampled(inputs: &PairInputs<'_, 't, T>, options: &LossOptions) -> Self {
-        let source_depth = match options.detach_depth_in_alignment {
+        let source_depth = match options.detach_source_depth {
             true => inputs.source_depth.detach(),
             false => inputs.source_depth,
         };
@@ -140,7 +140,7 @@ impl<'t, T: Scalar> AlignedPair<'t, T> {
         x.select(mask, self.constant(&Tensor::full(x.shape(), T::from_f64(filler))))
     }
 
-    /// What a residual, in pixels, has beyond the flow's own error: `max(r - noise_px - noise_share |f|, 0)`.
+    /// What a residual, in pixels, has beyond the flow's own error: `max(r - noise_pixels - noise_share |f|, 0)`.
     pub(crate) fn beyond_noise(&self, residual: Var<'t, T>) -> Var<'t, T> {
         match self.noise {
             Some(noise) => residual.sub(noise).relu(),
@@ -174,12 +174,12 @@ pub(crate) struct AxialProducts<'t, T: Scalar> {
     pub across: Var<'t, T>,
 }
 
-/// `noise_px + noise_share |f|`, (N,1,H,W).
+/// `noise_pixels + noise_share |f|`, (N,1,H,W).
 fn noise<'t, T: Scalar>(flow: Var<'t, T>, options: &LossOptions) -> Option<Var<'t, T>> {
-    let any = options.noise_px > 0.0 || options.noise_share > 0.0;
+    let any = options.noise_pixels > 0.0 || options.noise_share > 0.0;
     any.then(|| {
         let size = length(flow.slice(1, 0, 1), flow.slice(1, 1, 1), 0.0);
-        size.scale(options.noise_share).add_scalar(options.noise_px)
+        size.scale(options.noise_share).add_scalar(options.noise_pixels)
     })
 }
 

@@ -1,19 +1,21 @@
 //! `L_pla`: planar flows of a static scene are parallel (eq. `lp`).
 
 use dimode_autodiff::{Scalar, Tensor, Var};
+use serde::{Deserialize, Serialize};
 
 use super::{AlignedPair, LossOptions, LossTerm};
 use crate::taped::masks;
 use crate::taped::smooth::{length, soft_abs};
 
 /// Forms of `L_pla`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PlanarVariant {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PlanarForm {
     /// Variance of `arccos(f_u / |f|)`, rad^2, as printed. The derivative is infinite for horizontal flows.
     Literal,
-    /// Variance of the same angle by `atan2(|f_v|, f_u)` over flows longer than `tau_f`, rad^2.
+    /// Variance of the same angle by `atan2(|f_v|, f_u)` over flows longer than `tau_flow`, rad^2.
     Robust,
-    /// `2 (1 - |E[f / |f|]|)` over flows longer than `tau_f`: sees mirrored and reversed flows too.
+    /// `2 (1 - |E[f / |f|]|)` over flows longer than `tau_flow`: sees mirrored and reversed flows too.
     Circular,
     /// `2 (1 - |sum f| / sum |f|)`: long flows count more, no threshold.
     Weighted,
@@ -27,13 +29,13 @@ pub enum PlanarVariant {
 #[must_use]
 pub fn planar<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
     let (per_image, mask) = match options.planar {
-        PlanarVariant::Literal => literal(pair),
-        PlanarVariant::Robust => robust(pair, options.tau_f),
-        PlanarVariant::Circular => circular(pair, options.tau_f),
-        PlanarVariant::Weighted => weighted(pair),
-        PlanarVariant::PerpendicularPixels => perpendicular(pair, options),
+        PlanarForm::Literal => literal(pair),
+        PlanarForm::Robust => robust(pair, options.tau_flow),
+        PlanarForm::Circular => circular(pair, options.tau_flow),
+        PlanarForm::Weighted => weighted(pair),
+        PlanarForm::PerpendicularPixels => perpendicular(pair, options),
     };
-    LossTerm::new(per_image, &mask, options.min_valid_fraction)
+    LossTerm::new(per_image, &mask, options.min_valid_share)
 }
 
 /// Value an image (N,1,1,1) and the mask it was taken over.
@@ -70,8 +72,8 @@ fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Masked<'t, T> {
     (variance(pair, cosine.acos(), &mask), mask)
 }
 
-fn robust<'t, T: Scalar>(pair: &AlignedPair<'t, T>, tau_f: f64) -> Masked<'t, T> {
-    let mask = longer_than(pair, tau_f);
+fn robust<'t, T: Scalar>(pair: &AlignedPair<'t, T>, tau_flow: f64) -> Masked<'t, T> {
+    let mask = longer_than(pair, tau_flow);
     let (u, v) = components(pair, &mask);
     (variance(pair, v.abs().atan2(u), &mask), mask)
 }
@@ -81,8 +83,8 @@ fn spread_of<'t, T: Scalar>(x: Var<'t, T>, y: Var<'t, T>) -> Var<'t, T> {
     length(x, y, 0.0).neg().add_scalar(1.0).scale(2.0)
 }
 
-fn circular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, tau_f: f64) -> Masked<'t, T> {
-    let mask = longer_than(pair, tau_f);
+fn circular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, tau_flow: f64) -> Masked<'t, T> {
+    let mask = longer_than(pair, tau_flow);
     let (u, v) = components(pair, &mask);
     let size = length(u, v, 0.0);
     let mean = |f: Var<'t, T>| f.div(size).masked_mean(&mask);
@@ -117,5 +119,5 @@ fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions
     };
     let (u, v) = components(pair, &mask);
     let distance = u.mul(direction(y)).sub(v.mul(direction(x)));
-    (pair.beyond_noise(soft_abs(distance, options.smooth_px)).masked_mean(&mask), mask)
+    (pair.beyond_noise(soft_abs(distance, options.smooth_pixels)).masked_mean(&mask), mask)
 }

@@ -1,6 +1,7 @@
 //! `L_rad`: axial flow, depth and radial translation agree (eq. `lr`).
 
 use dimode_autodiff::{Scalar, Tensor, Var};
+use serde::{Deserialize, Serialize};
 
 use super::tangential::{aggregate_term, pixel_term, translation_length, with_target_depth};
 use super::{AlignedPair, LossOptions, LossTerm};
@@ -8,8 +9,9 @@ use crate::taped::masks;
 use crate::taped::smooth::soft_abs;
 
 /// Forms of `L_rad`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RadialVariant {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RadialForm {
     /// `A_z + C_z` as printed: unbounded where the radial flow is near zero.
     Literal,
     /// The same with small radial flows dropped, outliers gated and the denominator of `C` bounded below.
@@ -25,12 +27,12 @@ pub enum RadialVariant {
 pub fn radial<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
     let base = with_target_depth(pair, options.z_min);
     let (per_image, mask) = match options.radial {
-        RadialVariant::Literal => ratio_terms(pair, &base, None),
-        RadialVariant::Robust => ratio_terms(pair, &base, Some(options)),
-        RadialVariant::InverseRatio => inverse_ratio(pair, &base, options),
-        RadialVariant::FlowPixels => flow_pixels(pair, &base, options),
+        RadialForm::Literal => ratio_terms(pair, &base, None),
+        RadialForm::Robust => ratio_terms(pair, &base, Some(options)),
+        RadialForm::InverseRatio => inverse_ratio(pair, &base, options),
+        RadialForm::FlowPixels => flow_pixels(pair, &base, options),
     };
-    LossTerm::new(per_image, &mask, options.min_valid_fraction)
+    LossTerm::new(per_image, &mask, options.min_valid_share)
 }
 
 /// Radial flow `d . f / |d|` (0 at the principal point) of every pixel, from values.
@@ -79,7 +81,7 @@ fn ratio_terms<'t, T: Scalar>(
     base: &Tensor<T>,
     robust: Option<&LossOptions>,
 ) -> (Var<'t, T>, Tensor<T>) {
-    let (q_min, smallest) = robust.map_or((0.0, 0.0), |o| (o.q_min, o.tau_rho));
+    let (q_min, smallest) = robust.map_or((0.0, 0.0), |o| (o.q_min, o.tau_ratio));
     let (flow, radius) = (radial_flow(pair), &pair.radius);
     let divisible = masks::and_where(base, |n| {
         let (flow, radius) = (flow.plane(n, 0), radius.plane(n, 0));
@@ -93,7 +95,7 @@ fn ratio_terms<'t, T: Scalar>(
     let scaled = ratio.mul(pair.spread(pair.a(2)));
     let pixel = pixel_term(pair, scaled, &divisible, robust.map(|o| o.gate));
     let mask = match robust {
-        Some(o) => recoverable(pair, base, o.q_min, o.tau_rho),
+        Some(o) => recoverable(pair, base, o.q_min, o.tau_ratio),
         None => masks::and_where(base, |n| {
             let radius = radius.plane(n, 0);
             move |i| radius[i] > T::ZERO
@@ -104,7 +106,7 @@ fn ratio_terms<'t, T: Scalar>(
 }
 
 fn inverse_ratio<'t, T: Scalar>(pair: &AlignedPair<'t, T>, base: &Tensor<T>, options: &LossOptions) -> (Var<'t, T>, Tensor<T>) {
-    let mask = recoverable(pair, base, options.q_min, options.tau_rho);
+    let mask = recoverable(pair, base, options.q_min, options.tau_ratio);
     let residual = recovered(pair, &mask).sub(pair.spread(pair.a(2))).abs().masked_mean(&mask);
     (residual.div_guarded(translation_length(pair), 1e-9), mask)
 }
@@ -121,5 +123,5 @@ fn flow_pixels<'t, T: Scalar>(pair: &AlignedPair<'t, T>, base: &Tensor<T>, optio
     let radius = pair.constant(&pair.radius_from(q_min));
     let along = pair.axial_products(&mask).along.div(radius);
     let residual = along.add(radius.mul(a_z).div(source_depth));
-    (pair.beyond_noise(soft_abs(residual, options.smooth_px)).masked_mean(&mask), mask)
+    (pair.beyond_noise(soft_abs(residual, options.smooth_pixels)).masked_mean(&mask), mask)
 }

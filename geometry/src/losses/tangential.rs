@@ -1,14 +1,16 @@
 //! `L_tan`: planar flow, depth and tangential translation agree (eq. `lt`).
 
 use dimode_autodiff::{Scalar, Tensor, Var};
+use serde::{Deserialize, Serialize};
 
 use super::{AlignedPair, LossOptions, LossTerm};
 use crate::taped::masks;
 use crate::taped::smooth::length;
 
 /// Forms of `L_tan`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum TangentialVariant {
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TangentialForm {
     /// `A_x + C_x + A_y + C_y` as printed: unbounded where a flow or translation component is near zero.
     Literal,
     /// The same with small flow components dropped, outliers gated and the denominators of `C` bounded below.
@@ -24,12 +26,12 @@ pub enum TangentialVariant {
 pub fn tangential<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
     let mask = with_target_depth(pair, options.z_min);
     let per_image = match options.tangential {
-        TangentialVariant::Literal => both_axes(|k| axis_terms(pair, &mask, k, None)),
-        TangentialVariant::Robust => both_axes(|k| axis_terms(pair, &mask, k, Some(options))),
-        TangentialVariant::InverseRatio => inverse_ratio(pair, &mask),
-        TangentialVariant::FlowPixels => flow_pixels(pair, &mask, options.smooth_px),
+        TangentialForm::Literal => both_axes(|k| axis_terms(pair, &mask, k, None)),
+        TangentialForm::Robust => both_axes(|k| axis_terms(pair, &mask, k, Some(options))),
+        TangentialForm::InverseRatio => inverse_ratio(pair, &mask),
+        TangentialForm::FlowPixels => flow_pixels(pair, &mask, options.smooth_pixels),
     };
-    LossTerm::new(per_image, &mask, options.min_valid_fraction)
+    LossTerm::new(per_image, &mask, options.min_valid_share)
 }
 
 /// The pair's mask where the target depth is in front of the camera.
@@ -58,7 +60,7 @@ fn recovered<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, k: usiz
 
 /// `A_k + C_k`; thresholds only with options.
 fn axis_terms<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, k: usize, robust: Option<&LossOptions>) -> Var<'t, T> {
-    let smallest = robust.map_or(0.0, |o| o.tau_rho);
+    let smallest = robust.map_or(0.0, |o| o.tau_ratio);
     let flows = pair.planar_flow.value();
     let divisible = masks::and_where(mask, |n| {
         let flow = flows.plane(n, k);
@@ -90,7 +92,7 @@ pub(super) fn pixel_term<'t, T: Scalar>(
     error.masked_mean(&kept)
 }
 
-/// `C = |(E[z / rho] - a_k) / a_k|`; with options the denominator is `max(|a_k|, tau_t, kappa |a|)`.
+/// `C = |(E[z / rho] - a_k) / a_k|`; with options the denominator is `max(|a_k|, tau_translation, kappa |a|)`.
 pub(super) fn aggregate_term<'t, T: Scalar>(
     pair: &AlignedPair<'t, T>,
     recovered: Var<'t, T>,
@@ -106,7 +108,7 @@ pub(super) fn aggregate_term<'t, T: Scalar>(
     let values = pair.translation.value();
     let floor = Tensor::from_fn(a.shape(), |n, _, _, _| {
         let norm = (0..3).map(|i| values.at(n, i, 0, 0).to_f64().powi(2)).sum::<f64>().sqrt();
-        T::from_f64(options.tau_t.max(options.kappa * norm))
+        T::from_f64(options.tau_translation.max(options.kappa * norm))
     });
     difference.abs().div(a.abs().maximum(pair.constant(&floor)))
 }

@@ -3,7 +3,10 @@
 use crate::support::{cameras, close, open};
 use dimode_autodiff::{Shape, Tape, Tensor, Var};
 use dimode_geometry::Convention;
-use dimode_geometry::losses::{AlignedPair, AxialVariant, LossOptions, LossTerm, PairInputs, axial, planar, radial, tangential};
+use dimode_geometry::losses::{
+    AlignedPair, AxialForm, LossOptions, LossTerm, PairInputs, PlanarForm, RadialForm, TangentialForm, axial, planar, radial,
+    tangential,
+};
 use dimode_geometry::taped::pose::source_from_target;
 use dimode_geometry::taped::{RotationForm, masks};
 use dimode_tests::Golden;
@@ -85,7 +88,18 @@ fn check_values_and_gradients(golden: &Golden, row: &str, options: &LossOptions)
 }
 
 fn printed(convention: Convention) -> LossOptions {
-    LossOptions { convention, min_valid_fraction: 0.0, ..LossOptions::literal() }
+    LossOptions { convention, min_valid_share: 0.0, ..LossOptions::literal() }
+}
+
+/// The printed quantities with their hazards masked.
+fn robust(convention: Convention, axial: AxialForm) -> LossOptions {
+    LossOptions {
+        axial,
+        planar: PlanarForm::Robust,
+        tangential: TangentialForm::Robust,
+        radial: RadialForm::Robust,
+        ..printed(convention)
+    }
 }
 
 #[test]
@@ -119,11 +133,11 @@ fn aligned_maps_match() {
 fn robust_losses_and_their_masks() {
     let golden = open("dimode_robust");
     for (row, convention, form) in [
-        ("target_folded", Convention::Consistent, AxialVariant::Folded),
-        ("literal_signed", Convention::AsPrinted, AxialVariant::Signed),
-        ("target_pose_sign", Convention::Consistent, AxialVariant::PoseSign),
+        ("target_folded", Convention::Consistent, AxialForm::Folded),
+        ("literal_signed", Convention::AsPrinted, AxialForm::Signed),
+        ("target_pose_sign", Convention::Consistent, AxialForm::PoseSign),
     ] {
-        let options = LossOptions { convention, axial: form, min_valid_fraction: 0.0, ..LossOptions::robust() };
+        let options = robust(convention, form);
         check_values_and_gradients(&golden, row, &options);
         let tape = Tape::new();
         let v = leaves(&golden, &tape);
@@ -166,7 +180,8 @@ fn exact_scene_costs_nothing_when_consistent_and_the_stored_amount_when_printed(
             }
         }
         // The stored flows carry a division guard of 1e-7, which is what remains.
-        for options in [LossOptions::robust(), LossOptions::pixels()] {
+        let pixels = LossOptions { min_tangential_share: 0.0, noise_pixels: 0.0, noise_share: 0.0, ..LossOptions::default() };
+        for options in [robust(Convention::Consistent, AxialForm::Folded), pixels] {
             for (name, values) in names.iter().zip(exact_values(&golden, source, &options)) {
                 assert!(values.iter().all(|x| x.abs() < 1e-7), "{source} {name}: {values:?}");
             }

@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
+use dimode_geometry::losses::LossOptions;
 
 use super::failure::{Exit, UsageError};
-use super::options::{Size, Stages, preset};
+use super::options::{LossForms, Size, Stages, preset};
 use super::{interrupt, output, summary};
-use crate::config::{Config, FirstWeights, GeometricConfig, Preset, StageConfig};
+use crate::config::{Config, FirstWeights, Preset, StageConfig};
 use crate::progress::{Bar, Progress};
 use crate::run::{self, RunFolder, TrainOutcome, TrainRequest};
 
@@ -37,15 +38,6 @@ Examples:
   dimode train --resume runs/train-street-s1    go on after Ctrl-C or a crash, with the same bits
 
 The run folder holds report.html, metrics.json, log.jsonl, config.toml and checkpoint.safetensors.";
-
-/// Form of the four geometric losses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum LossForm {
-    /// Residuals in pixels of flow, in the consistent frame (the default)
-    Robust,
-    /// Exactly as the equations are printed
-    Literal,
-}
 
 /// Flags of `dimode train`.
 #[derive(Debug, Args)]
@@ -87,9 +79,9 @@ pub struct TrainArgs {
     /// Lengths of the stages (5, 10, 15 of 30 epochs) and learning rate (1e-4) of the paper, meant for pre-trained encoders
     #[arg(long)]
     paper_schedule: bool,
-    /// Form of the geometric losses
-    #[arg(long, value_name = "FORM")]
-    loss: Option<LossForm>,
+    /// Forms of the geometric losses: default (pixels of flow, in the consistent frame) or literal (as printed)
+    #[arg(long, value_name = "FORMS")]
+    loss: Option<LossForms>,
     /// First weights of the flow network: embedded, random or a file
     #[arg(long, value_name = "WHICH")]
     flow_weights: Option<FirstWeights>,
@@ -199,11 +191,7 @@ impl TrainArgs {
         if let Some(Stages(numbers)) = &self.stages {
             config.train.only_stages = Some(numbers.clone());
         }
-        match self.loss {
-            Some(LossForm::Robust) => config.loss.geometric = GeometricConfig::default(),
-            Some(LossForm::Literal) => config.loss.geometric = GeometricConfig::literal(),
-            None => {}
-        }
+        replace(&mut config.loss.geometric, self.loss.map(LossForms::options));
     }
 }
 
@@ -230,7 +218,7 @@ fn default_out(config: &Config) -> PathBuf {
     if config.train.stages == StageConfig::paper() {
         name += "-paper";
     }
-    if config.loss.geometric == GeometricConfig::literal() {
+    if config.loss.geometric == LossOptions::literal() {
         name += "-literal";
     }
     PathBuf::from("runs").join(name)
@@ -319,7 +307,7 @@ mod tests {
     fn any_setting_can_be_set_by_name() {
         let config = settings(&["--set", "loss.geometric.planar=literal", "--set", "train.betas=[0.8, 0.9]"]).unwrap();
         assert_eq!(config.train.betas, [0.8, 0.9]);
-        assert_eq!(config.loss.geometric.planar, crate::config::PlanarForm::Literal);
+        assert_eq!(config.loss.geometric.planar, dimode_geometry::losses::PlanarForm::Literal);
         let message = settings(&["--set", "train.stpes=3"]).unwrap_err().to_string();
         assert_eq!(message, "--set train.stpes=3: unknown key 'stpes'; did you mean 'steps'?");
         assert!(settings(&["--set", "steps"]).is_err());
@@ -329,10 +317,19 @@ mod tests {
     fn stages_and_forms_are_taken() {
         let config = settings(&["--stages", "1", "--loss", "literal", "--size", "96x64"]).unwrap();
         assert_eq!(config.train.only_stages, Some(vec![1]));
-        assert_eq!(config.loss.geometric, GeometricConfig::literal());
+        assert_eq!(config.loss.geometric, LossOptions::literal());
         assert_eq!((config.data.width, config.data.height), (96, 64));
         assert_eq!(default_out(&config), PathBuf::from("runs/train-street-s1-stages1-literal"));
         assert!(settings(&["--stages", "4"]).unwrap_err().to_string().contains("train.only_stages"));
+    }
+
+    #[test]
+    fn the_default_loss_wins_over_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("run.toml");
+        std::fs::write(&file, "[loss.geometric]\nplanar = \"robust\"\nkappa = 0.5\n").unwrap();
+        let config = settings(&["--config", file.to_str().unwrap(), "--loss", "default"]).unwrap();
+        assert_eq!(config, Config::default());
     }
 
     #[test]

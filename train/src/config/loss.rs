@@ -1,9 +1,10 @@
 //! Terms of the loss that are not geometric, and how many sources and scales they use.
 
+use dimode_geometry::losses::LossOptions;
 use serde::{Deserialize, Serialize};
 
 use super::error::{not_negative, require};
-use super::{ConfigError, GeometricConfig};
+use super::{ConfigError, geometric};
 
 /// A term of the local-structure loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -95,7 +96,7 @@ pub struct LossConfig {
     /// Training of the flow network.
     pub flow: FlowLossConfig,
     /// The four geometric losses.
-    pub geometric: GeometricConfig,
+    pub geometric: LossOptions,
 }
 
 impl Default for LossConfig {
@@ -109,7 +110,7 @@ impl Default for LossConfig {
             sources: Sources::Both,
             local_structure: LocalStructure::default(),
             flow: FlowLossConfig::default(),
-            geometric: GeometricConfig::default(),
+            geometric: LossOptions::default(),
         }
     }
 }
@@ -124,6 +125,6 @@ impl LossConfig {
         not_negative("loss.flow.rate", self.flow.rate)?;
         require((1..=1024).contains(&self.flow.pairs), "loss.flow.pairs", self.flow.pairs, "must be 1 to 1024")?;
         not_negative("loss.flow.smoothness", self.flow.smoothness)?;
-        self.geometric.validate()
+        geometric::validate(&self.geometric)
     }
 }

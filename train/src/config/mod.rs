@@ -23,7 +23,6 @@ pub use crate::data::synthetic::Preset;
 pub use data::DataConfig;
 pub use error::ConfigError;
 pub use eval::EvalConfig;
-pub use geometric::{AxialForm, Convention, GeometricConfig, PlanarForm, RadialForm, StaticMask, TangentialForm};
 pub use loss::{FlowLossConfig, LocalStructure, LocalTerm, LossConfig, PseudoDepth, SCALE_ANCHOR, Sources};
 pub use nets::{FirstWeights, NetsConfig};
 pub use suggest::nearest;

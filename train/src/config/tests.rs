@@ -1,5 +1,7 @@
 use std::path::Path;
 
+use dimode_geometry::losses::LossOptions;
+
 use super::*;
 
 fn parse(text: &str) -> Result<Config, ConfigError> {
@@ -22,9 +24,39 @@ fn writing_and_reading_gives_the_same_configuration() {
     let mut config = Config::quick();
     config.data.path = Some("frames/a b".into());
     config.nets.flow_weights = FirstWeights::File("flow.safetensors".into());
-    config.loss.geometric = GeometricConfig::literal();
+    config.loss.geometric = LossOptions::literal();
     config.train.only_stages = Some(vec![1, 3]);
     assert_eq!(parse(&config.to_toml()).unwrap(), config);
+}
+
+/// What runs are made with: a name or a number that changes here makes their folders mean something else.
+#[test]
+fn the_geometric_losses_have_one_set_of_names_and_defaults() {
+    let text = r#"
+        convention = "consistent"
+        planar = "perpendicular-pixels"
+        axial = "perpendicular-pixels"
+        tangential = "flow-pixels"
+        radial = "flow-pixels"
+        static_mask = "relative"
+        tau_flow = 0.1
+        tau_ratio = 0.1
+        q_min = 1.0
+        gate = 2.0
+        tau_translation = 0.001
+        kappa = 0.05
+        min_tangential_flow = 0.5
+        min_tangential_share = 0.3
+        smooth_pixels = 0.0
+        noise_pixels = 0.5
+        noise_share = 0.15
+        min_valid_share = 0.1
+        z_min = 0.001
+        detach_source_depth = true
+        detach_direction = false
+    "#;
+    assert_eq!(toml::Table::try_from(LossOptions::default()).unwrap(), text.parse().unwrap());
+    assert_eq!(Config::default().loss.geometric, LossOptions::default());
 }
 
 #[test]
