@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::failure::{Exit, UsageError};
 use super::{output, summary};
-use crate::eval::{Crop, DepthScaling};
+use crate::eval::{Crop, DepthProtocol, DepthScaling};
 use crate::progress::Bar;
 use crate::run::eval_depth::{DepthSource, EvalDepthRequest, ProtocolChanges, eval_depth};
 
@@ -21,7 +21,17 @@ const EXAMPLES: &str = "\
 Examples:
   dimode eval depth --run runs/train-street-s1
   dimode eval depth --run runs/train-street-s1 --data worlds --json
-  dimode eval depth --gt worlds/depth/00 --pred predictions/00/depth --crop garg";
+  dimode eval depth --gt worlds/depth/00 --pred predictions/00/depth --crop garg
+  dimode eval depth --run runs/kitti --data kitti --protocol kitti-eigen";
+
+/// Choices behind the numbers, as a whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Protocol {
+    /// Bounds of the run (0.001 to 80 m for pictures), median scaling, whole image
+    Default,
+    /// As usual for the Eigen split of KITTI: 0.001 to 80 m, median scaling, Garg crop
+    KittiEigen,
+}
 
 /// How scale is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -62,7 +72,10 @@ pub struct EvalDepthArgs {
     /// Folder of predicted depth pictures
     #[arg(long, value_name = "DIR", requires = "gt")]
     pred: Option<PathBuf>,
-    /// How scale is found [default: median]
+    /// Choices behind the numbers; the flags below change single ones
+    #[arg(long, value_name = "NAME", default_value = "default")]
+    protocol: Protocol,
+    /// How scale is found [default: that of the protocol, median]
     #[arg(long, value_name = "HOW")]
     scaling: Option<Scaling>,
     /// Smallest true depth that counts, metres
@@ -71,7 +84,7 @@ pub struct EvalDepthArgs {
     /// Largest true depth that counts, metres
     #[arg(long, value_name = "METRES")]
     max_depth: Option<f64>,
-    /// Part of the image that counts [default: none, all of it]
+    /// Part of the image that counts [default: that of the protocol]
     #[arg(long, value_name = "WHICH")]
     crop: Option<CropName>,
     /// Print the numbers as JSON
@@ -94,12 +107,16 @@ impl EvalDepthArgs {
 
     fn request(self) -> Result<EvalDepthRequest, UsageError> {
         let changes = self.changes();
+        let protocol = match self.protocol {
+            Protocol::Default => None,
+            Protocol::KittiEigen => Some(DepthProtocol::kitti_eigen()),
+        };
         let source = match (self.run, self.gt, self.pred) {
             (Some(run), _, _) => DepthSource::Run { run, data: self.data, sequences: self.sequences },
             (None, Some(truth), Some(prediction)) => DepthSource::Pictures { truth, prediction },
             _ => return Err(UsageError::new("nothing to score", "give --run RUN, or --gt DIR with --pred DIR")),
         };
-        Ok(EvalDepthRequest { source, changes })
+        Ok(EvalDepthRequest { source, protocol, changes })
     }
 
     fn changes(&self) -> ProtocolChanges {

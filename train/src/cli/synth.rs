@@ -99,7 +99,6 @@ impl SynthArgs {
             exposure: self.exposure,
             night: self.night,
             moving_object: self.moving_object,
-            ..SyntheticConfig::default()
         };
         let request = SynthRequest { worlds, out: self.out, overwrite: self.force };
         let stop = interrupt::stop_flag("stopping; nothing will be written")?;

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::ConfigError;
 use super::error::require;
+use crate::data::KittiCamera;
 use crate::data::synthetic::Preset;
 
 /// Where frames come from and what size they have.
@@ -35,6 +36,13 @@ pub struct DataConfig {
     pub moving_object: bool,
     /// Sequences of a folder to use, each named once; empty for all.
     pub sequences: Vec<String>,
+    /// Camera of a folder in KITTI layout; none for left colour where it is there, else left grey.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera: Option<KittiCamera>,
+    /// Cut the centre of a folder's frames to the shape of `width` x `height`, so that pixels keep their aspect, instead of
+    /// squeezing the whole frame. Written when on: a run's settings without it say that frames are squeezed.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub center_crop: bool,
 }
 
 impl Default for DataConfig {
@@ -51,6 +59,8 @@ impl Default for DataConfig {
             night: false,
             moving_object: false,
             sequences: Vec::new(),
+            camera: None,
+            center_crop: false,
         }
     }
 }

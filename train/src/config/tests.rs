@@ -23,6 +23,8 @@ fn an_empty_file_is_the_default() {
 fn writing_and_reading_gives_the_same_configuration() {
     let mut config = Config::quick();
     config.data.path = Some("frames/a b".into());
+    config.data.camera = Some(crate::data::KittiCamera::RightColour);
+    config.data.center_crop = true;
     config.nets.flow_weights = FirstWeights::File("flow.safetensors".into());
     config.loss.geometric = LossOptions::literal();
     config.train.only_stages = Some(vec![1, 3]);
@@ -105,6 +107,8 @@ fn unknown_key_without_resemblance_lists_what_exists() {
 fn unknown_names_of_choices_are_refused_with_the_nearest() {
     let message = refusal("[data]\npreset = \"steet\"\n");
     assert_eq!(message, "run.toml:2: unknown value 'steet'; did you mean 'street'?");
+    let message = refusal("[data]\ncamera = \"left-color\"\n");
+    assert_eq!(message, "run.toml:2: unknown value 'left-color'; did you mean 'left-colour'?");
     let message = refusal("[nets]\ndepth = \"resnet99\"\n");
     assert!(message.contains("run.toml:2") && message.contains("nano_resnet"), "{message}");
 }

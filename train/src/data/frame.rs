@@ -93,8 +93,3 @@ pub fn snippet(dataset: &dyn Dataset, sequence: usize, frame: usize) -> Result<S
     let sources = [dataset.frame(sequence, frame - 1)?, dataset.frame(sequence, frame + 1)?];
     Ok(Snippet { name: format!("{name}/{}", target.name), target, sources })
 }
-
-/// Every (sequence, target frame) of which [`snippet`] makes a snippet, in order: n - 2 for a sequence of n frames.
-pub fn snippet_targets(dataset: &dyn Dataset) -> Vec<(usize, usize)> {
-    (0..dataset.sequence_count()).flat_map(|s| (1..dataset.sequence_len(s).saturating_sub(1)).map(move |f| (s, f))).collect()
-}

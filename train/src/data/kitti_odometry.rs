@@ -38,11 +38,11 @@ fn sequence_folders(root: &Path, options: &LoadOptions) -> Result<Vec<PathBuf>, 
         .collect();
     if all.is_empty() {
         let what = options.camera.map_or("image_2 or image_0".to_owned(), KittiCamera::folder);
-        return Err(DataError::Missing {
-            path: parent,
-            what: format!("a sequence with frames in {what}"),
-            advice: "frames belong in sequences/NN/image_2/000000.png and so on".to_owned(),
-        });
+        let advice = match options.camera {
+            Some(camera) => format!("choose a data.camera that is there, or put its frames in sequences/NN/{}", camera.folder()),
+            None => "frames belong in sequences/NN/image_2/000000.png and so on".to_owned(),
+        };
+        return Err(DataError::Missing { path: parent, what: format!("a sequence with frames in {what}"), advice });
     }
     choose(&parent, all, &options.sequences, |folder, name| folder == name || folder == format!("{name:0>2}"))
 }
@@ -67,11 +67,12 @@ fn open_sequence(root: &Path, folder: &Path, options: &LoadOptions) -> Result<Fi
         check_count(&times_file, "times", times.len(), files.len(), &images)?;
     }
     let pose_file = root.join("poses").join(format!("{name}.txt"));
-    let poses = if pose_file.exists() { Some(read_poses(&pose_file)?) } else { None };
+    let poses = if camera.has_truth() && pose_file.exists() { Some(read_poses(&pose_file)?) } else { None };
     if let Some(poses) = &poses {
         check_count(&pose_file, "poses", poses.len(), files.len(), &images)?;
     }
-    let depth = files.iter().map(|file| depth_file(&root.join("depth").join(&name), file)).collect();
+    let true_depth = |file: &PathBuf| camera.has_truth().then(|| depth_file(&root.join("depth").join(&name), file)).flatten();
+    let depth = files.iter().map(true_depth).collect();
     Ok(FileSequence { name, files, intrinsics, poses, times, depth })
 }
 

@@ -36,7 +36,7 @@ pub use error::DataError;
 pub use file_dataset::FileDataset;
 pub use flow_io::{KnownFlow, encode_flo, encode_flow_png, parse_flo, read_flo, read_flow_png, write_flo, write_flow_png};
 pub use folder::open_folder;
-pub use frame::{Dataset, Frame, PairTruth, Snippet, snippet, snippet_targets};
+pub use frame::{Dataset, Frame, PairTruth, Snippet, snippet};
 pub use image::{FlowMap, Image, Map};
 pub use image_io::{encode_depth_png, encode_rgb_png, read_depth_png, write_depth_png, write_rgb_png};
 pub use intrinsics_file::IntrinsicsFile;

@@ -1,10 +1,13 @@
 //! How frames on disk are turned into frames for training.
 
+use serde::{Deserialize, Serialize};
+
 use super::DataError;
 use super::decode::MAX_SIDE;
 
-/// One of the four cameras of a KITTI layout.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// One of the four cameras of a KITTI layout. Depth and poses of the layout are those of the left ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum KittiCamera {
     /// `image_0`, left grey, calibration row `P0`.
     LeftGrey,
@@ -17,6 +20,11 @@ pub enum KittiCamera {
 }
 
 impl KittiCamera {
+    /// Whether the layout's depth and poses are those of this camera.
+    pub fn has_truth(self) -> bool {
+        matches!(self, Self::LeftGrey | Self::LeftColour)
+    }
+
     /// The number of the camera, 0 to 3.
     pub fn number(self) -> usize {
         self as usize

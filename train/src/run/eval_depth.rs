@@ -37,7 +37,9 @@ pub enum DepthSource {
 pub struct EvalDepthRequest {
     /// What is scored.
     pub source: DepthSource,
-    /// What is asked to differ from the bounds of the run, or from the defaults for pictures.
+    /// The protocol to begin with; none for the bounds of the run, or for the defaults for pictures.
+    pub protocol: Option<DepthProtocol>,
+    /// What is asked to differ from it.
     pub changes: ProtocolChanges,
 }
 
@@ -73,13 +75,14 @@ pub fn eval_depth(request: &EvalDepthRequest, progress: &dyn Progress) -> Result
     let (title, data, table) = match &request.source {
         DepthSource::Run { run, data, sequences } => {
             let model = TrainedModel::load(run)?;
-            let protocol = request.changes.on(protocol_of(&model));
+            let protocol = request.changes.on(request.protocol.unwrap_or_else(|| protocol_of(&model)));
             let dataset = frames_to_score(&model.config, data.as_deref(), sequences)?;
             let table = score_run(&model, dataset.as_ref(), protocol, progress)?;
             (run.display().to_string(), dataset.name(), table)
         }
         DepthSource::Pictures { truth, prediction } => {
-            let table = score_pictures(truth, prediction, request.changes.on(DepthProtocol::default()), progress)?;
+            let protocol = request.changes.on(request.protocol.unwrap_or_default());
+            let table = score_pictures(truth, prediction, protocol, progress)?;
             (prediction.display().to_string(), truth.display().to_string(), table)
         }
     };
@@ -190,7 +193,7 @@ mod tests {
             write_depth_png(&folder.join("000000.png"), &Map::from_vec(2, 4, values)).unwrap();
         }
         let source = DepthSource::Pictures { truth, prediction: predicted };
-        (place, EvalDepthRequest { source, changes: ProtocolChanges::default() })
+        (place, EvalDepthRequest { source, protocol: None, changes: ProtocolChanges::default() })
     }
 
     #[test]

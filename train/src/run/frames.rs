@@ -16,7 +16,13 @@ const SNIPPET: usize = 3;
 
 /// How frames of a folder are loaded for networks of this configuration.
 pub fn load_options(data: &DataConfig) -> LoadOptions {
-    LoadOptions { sequences: data.sequences.clone(), size: Some((data.width, data.height)), ..LoadOptions::default() }
+    LoadOptions {
+        sequences: data.sequences.clone(),
+        camera: data.camera,
+        size: Some((data.width, data.height)),
+        center_crop: data.center_crop,
+        ..LoadOptions::default()
+    }
 }
 
 /// The frames of a folder at the size of the networks; every sequence has at least `min_frames`.
@@ -95,7 +101,6 @@ fn worlds(config: &Config, split: Split, sequences: usize, frames: usize) -> Res
         exposure: data.exposure,
         night: data.night,
         moving_object: data.moving_object,
-        ..SyntheticConfig::default()
     })
 }
 
@@ -114,4 +119,36 @@ pub fn check_data(config: &Config) -> Result<(), DataError> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::{Image, write_rgb_png};
+    use std::fs;
+
+    #[test]
+    fn camera_and_crop_of_the_settings_choose_the_frames() {
+        let folder = tempfile::tempdir().unwrap();
+        let sequence = folder.path().join("sequences/00");
+        for (camera, level) in [("image_0", 0.2), ("image_2", 0.8)] {
+            fs::create_dir_all(sequence.join(camera)).unwrap();
+            for i in 0..3 {
+                let image = Image::from_fn(3, 64, 256, |_, _, _| level);
+                write_rgb_png(&sequence.join(camera).join(format!("{i:06}.png")), &image).unwrap();
+            }
+        }
+        let calib = "P0: 90 0 127.5 0 0 90 31.5 0 0 0 1 0\nP2: 91 0 127.5 0 0 91 31.5 0 0 0 1 0\n";
+        fs::write(sequence.join("calib.txt"), calib).unwrap();
+        let frame = |settings: &str| {
+            let config =
+                Config::from_toml(&format!("[data]\nwidth = 128\nheight = 64\n{settings}"), Path::new("run.toml")).unwrap();
+            open_frames(folder.path(), &config.data, SNIPPET).unwrap().frame(0, 1).unwrap()
+        };
+        let plain = frame("");
+        assert_eq!((plain.intrinsics.fu, plain.intrinsics.fv), (45.5, 91.0), "left colour, squeezed");
+        let cropped = frame("camera = \"left-grey\"\ncenter_crop = true\n");
+        assert_eq!((cropped.intrinsics.fu, cropped.intrinsics.fv), (90.0, 90.0), "left grey, cropped");
+        assert!(plain.image.data[0] > 0.7 && cropped.image.data[0] < 0.3);
+    }
 }

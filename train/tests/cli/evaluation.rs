@@ -39,3 +39,23 @@ fn a_scaled_prediction_is_perfect_only_after_scaling() {
     let table = dimode(&["eval", "depth", "--gt", text(&gt), "--pred", text(&pred)]).succeeded();
     assert!(table.contains("constant"), "the trivial row stands beside it: {table}");
 }
+
+#[test]
+fn a_named_protocol_is_used_and_single_flags_change_it() {
+    use dimode::data::{Map, write_depth_png};
+    let place = tempfile::tempdir().unwrap();
+    let folder = place.path().join("depth");
+    fs::create_dir(&folder).unwrap();
+    write_depth_png(&folder.join("000000.png"), &Map::from_vec(30, 40, vec![5.0; 1200])).unwrap();
+    let protocol = |flags: &[&str]| -> serde_json::Value {
+        let scored = ["eval", "depth", "--gt", text(&folder), "--pred", text(&folder), "--json"];
+        let printed = dimode(&[&scored[..], flags].concat()).succeeded();
+        serde_json::from_str::<serde_json::Value>(&printed).unwrap()["depth"]["protocol"].clone()
+    };
+    let eigen = ["--protocol", "kitti-eigen"];
+    assert_eq!(protocol(&[])["crop"], "none");
+    assert_eq!(protocol(&eigen)["crop"], "garg");
+    let changed = protocol(&[&eigen[..], &["--max-depth", "50"]].concat());
+    assert_eq!((changed["crop"].as_str(), changed["max_depth"].as_f64()), (Some("garg"), Some(50.0)));
+    assert_eq!(protocol(&[&eigen[..], &["--crop", "none"]].concat())["crop"], "none");
+}

@@ -100,8 +100,6 @@ pub struct SyntheticConfig {
     pub night: bool,
     /// Adds a box that moves on its own through the view.
     pub moving_object: bool,
-    /// Fixed offset (right, down) in pixels of the principal point from the centre of the image.
-    pub principal_offset: [f64; 2],
 }
 
 impl Default for SyntheticConfig {
@@ -118,7 +116,6 @@ impl Default for SyntheticConfig {
             exposure: 0.0,
             night: false,
             moving_object: false,
-            principal_offset: [0.0, 0.0],
         }
     }
 }
@@ -129,15 +126,14 @@ fn refuse(option: &'static str, value: String, reason: &str) -> Result<(), DataE
 }
 
 impl SyntheticConfig {
-    /// The camera of every frame: square pixels, focal length 0.75 of the width, centre of the image plus
-    /// [`SyntheticConfig::principal_offset`].
+    /// The camera of every frame: square pixels, focal length 0.75 of the width, principal point in the centre of the image.
     pub fn intrinsics(&self) -> Intrinsics {
         let focal = 0.75 * self.width as f64;
         Intrinsics {
             fu: focal,
             fv: focal,
-            u0: 0.5 * (self.width as f64 - 1.0) + self.principal_offset[0],
-            v0: 0.5 * (self.height as f64 - 1.0) + self.principal_offset[1],
+            u0: 0.5 * (self.width as f64 - 1.0),
+            v0: 0.5 * (self.height as f64 - 1.0),
             width: self.width,
             height: self.height,
         }
@@ -167,17 +163,6 @@ impl SyntheticConfig {
         for (option, value, limit) in [("noise", self.noise, 0.5), ("exposure", self.exposure, 1.0)] {
             if !(0.0..=limit).contains(&value) {
                 return refuse(option, value.to_string(), &format!("use a number from 0 to {limit}"));
-            }
-        }
-        self.validate_principal_offset()
-    }
-
-    fn validate_principal_offset(&self) -> Result<(), DataError> {
-        let limits = [0.25 * self.width as f64, 0.25 * self.height as f64];
-        for (value, limit) in self.principal_offset.into_iter().zip(limits) {
-            if value.is_nan() || value.abs() > limit {
-                let reason = "the principal point stays within a quarter of the image from its centre";
-                return refuse("principal_offset", value.to_string(), reason);
             }
         }
         Ok(())
@@ -218,7 +203,6 @@ mod tests {
         assert!(bad(|c| c.frames = 0).starts_with("frames = 0"));
         assert!(bad(|c| c.noise = f64::NAN).starts_with("noise = NaN"));
         assert!(bad(|c| c.exposure = -1.0).starts_with("exposure = -1"));
-        assert!(bad(|c| c.principal_offset[1] = 40.0).starts_with("principal_offset = 40"));
     }
 
     #[test]
