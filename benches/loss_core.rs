@@ -2,7 +2,6 @@
 //! aligned pair with L_pla, L_axi, L_tan and L_rad, in the literal form and in the one that training uses by default.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dimode::config::GeometricConfig;
 use dimode::losses::min_reprojection::min_reprojection;
 use dimode::losses::photometric::photometric;
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
@@ -10,7 +9,7 @@ use dimode_autodiff::rng::uniform;
 use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
 use dimode_benches::random_images;
 use dimode_geometry::Intrinsics;
-use dimode_geometry::losses::{AlignedPair, PairInputs, axial, planar, radial, tangential};
+use dimode_geometry::losses::{AlignedPair, LossOptions, PairInputs, axial, planar, radial, tangential};
 use dimode_geometry::taped::{self, Pose, RotationForm, masks};
 
 /// Samples, height, width.
@@ -81,8 +80,7 @@ fn photometric_core(c: &mut Criterion) {
 }
 
 fn geometric_core(c: &mut Criterion) {
-    for (form, config) in [("literal", GeometricConfig::literal()), ("default", GeometricConfig::default())] {
-        let options = config.options();
+    for (form, options) in [("literal", LossOptions::literal()), ("default", LossOptions::default())] {
         for (n, h, w) in SIZES {
             let scene = Scene::new(n, h, w);
             let (flow, mask) = (scene.observed_flow(), masks::everywhere(scene.depth.shape()));
