@@ -80,6 +80,18 @@ pub enum WeightError {
         /// Tensors of the wrong size.
         misshapen: Vec<Misshapen>,
     },
+    /// A weight is infinite or not a number, as a training that broke down leaves it.
+    #[error("{origin}: '{name}' holds {value:e} at index {index}; make the weights again, by a training that stays finite")]
+    NonFinite {
+        /// Where the tensors came from.
+        origin: String,
+        /// Name inside the file.
+        name: String,
+        /// Place of the value in the tensor, row-major.
+        index: usize,
+        /// The value as stored.
+        value: f64,
+    },
 }
 
 fn describe(origin: &str, missing: &[String], extra: &[String], misshapen: &[Misshapen]) -> String {
@@ -145,7 +157,8 @@ fn words<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> {
 /// A `module.` prefix is stripped.
 ///
 /// # Errors
-/// [`WeightError::Mismatch`] with all differences, unless names and dimensions are equal.
+/// [`WeightError::Mismatch`] with all differences, unless names and dimensions are equal; [`WeightError::NonFinite`] for the first
+/// value that is not finite in the precision of `T`.
 pub fn assign<T: Scalar>(params: &mut Params<T>, tensors: Vec<StoredTensor>, origin: &str) -> Result<(), WeightError> {
     let mut given: BTreeMap<String, StoredTensor> = BTreeMap::new();
     for tensor in tensors {
@@ -167,6 +180,12 @@ pub fn assign<T: Scalar>(params: &mut Params<T>, tensors: Vec<StoredTensor>, ori
     if !(missing.is_empty() && extra.is_empty() && misshapen.is_empty()) {
         let origin = origin.to_owned();
         return Err(WeightError::Mismatch { origin, missing, extra, misshapen });
+    }
+    for (name, stored) in &given {
+        if let Some(index) = stored.values.iter().position(|&value| !T::from_f64(value).to_f64().is_finite()) {
+            let (origin, name) = (origin.to_owned(), name.clone());
+            return Err(WeightError::NonFinite { origin, name, index, value: stored.values[index] });
+        }
     }
     for (name, entry) in params.iter_mut() {
         if let Some(stored) = given.remove(name) {

@@ -79,6 +79,23 @@ fn a_message_counts_the_differences_and_names_the_first_three() {
 }
 
 #[test]
+fn values_that_are_not_finite_are_refused_by_name_and_nothing_changes() {
+    for value in [f64::NAN, f64::NEG_INFINITY, 1e300] {
+        let mut broken = blueprint().init::<f64>(1).file("net").unwrap().clone();
+        let entry = broken.get_mut("fc.weight").unwrap();
+        let mut values = entry.tensor().to_vec();
+        values[7] = value;
+        entry.set(Tensor::from_vec(entry.tensor().shape(), values));
+        let bytes = to_bytes(&broken).unwrap();
+        let mut params = blueprint().init::<f32>(2).file("net").unwrap().clone();
+        let before = params.get("conv.weight").unwrap().tensor().to_vec();
+        let text = assign(&mut params, parse(&bytes, "memory").unwrap(), "memory").unwrap_err().to_string();
+        assert!(text.starts_with(&format!("memory: 'fc.weight' holds {value:e} at index 7; ")), "{text}");
+        assert_eq!(params.get("conv.weight").unwrap().tensor().to_vec(), before);
+    }
+}
+
+#[test]
 fn wrapper_prefix_and_counters_are_accepted() {
     let one = 1i64.to_le_bytes();
     let value = 2.5f32.to_le_bytes();
