@@ -7,7 +7,7 @@ const ADVICE: &str =
 
 /// A step that could not be taken; weights and optimiser are as before it.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("step {step}: the {what} of {term} is not finite ({}); {advice}", place(.samples), advice = ADVICE)]
+#[error("step {step}: the {what} of {term} is not finite{}; {advice}", place(.samples))]
 pub struct NonFinite {
     /// Step, counted from 1 as in the log.
     pub step: u64,
@@ -15,14 +15,18 @@ pub struct NonFinite {
     pub what: &'static str,
     /// Name of the loss term.
     pub term: String,
-    /// Name of the first sample where it can be seen; all samples of the batch when it cannot be told.
+    /// Name of the first sample where it can be seen; all samples of the batch when it cannot be told; none where samples have no
+    /// names.
     pub samples: Vec<String>,
+    /// What was saved, and what to do.
+    pub advice: &'static str,
 }
 
 fn place(samples: &[String]) -> String {
     match samples {
-        [name] => format!("first in sample {name}"),
-        names => format!("batch of samples {}", names.join(", ")),
+        [] => String::new(),
+        [name] => format!(" (first in sample {name})"),
+        names => format!(" (batch of samples {})", names.join(", ")),
     }
 }
 
@@ -41,7 +45,7 @@ impl Failure {
     /// The error with sample names; `step` counts from 0.
     pub(crate) fn at(self, step: u64, batch: &Batch) -> NonFinite {
         let samples = self.sample.map_or_else(|| batch.names.clone(), |i| vec![batch.names[i].clone()]);
-        NonFinite { step: step + 1, what: self.what, term: self.term, samples }
+        NonFinite { step: step + 1, what: self.what, term: self.term, samples, advice: ADVICE }
     }
 }
 
@@ -52,10 +56,12 @@ mod tests {
     #[test]
     fn the_message_names_step_term_and_sample() {
         let samples = vec!["00/000007".to_owned()];
-        let error = NonFinite { step: 12, what: "gradient", term: "l_pla".into(), samples };
+        let error = NonFinite { step: 12, what: "gradient", term: "l_pla".into(), samples, advice: "lower the rate" };
         let text = error.to_string();
         assert!(text.starts_with("step 12: the gradient of l_pla is not finite (first in sample 00/000007); "), "{text}");
         let samples = vec!["00/000007".to_owned(), "01/000002".to_owned()];
-        assert!(NonFinite { samples, ..error }.to_string().contains("(batch of samples 00/000007, 01/000002)"));
+        assert!(NonFinite { samples, ..error.clone() }.to_string().contains("(batch of samples 00/000007, 01/000002)"));
+        let text = NonFinite { samples: Vec::new(), ..error }.to_string();
+        assert_eq!(text, "step 12: the gradient of l_pla is not finite; lower the rate");
     }
 }

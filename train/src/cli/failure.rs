@@ -10,6 +10,7 @@ use crate::config::ConfigError;
 use crate::data::DataError;
 use crate::eval::EvalError;
 use crate::non_finite::NonFinite;
+use crate::pretrain::TargetError;
 use crate::report::ReportError;
 use crate::run::RunError;
 use crate::run::first_weights::FirstWeightsError;
@@ -77,6 +78,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
         cause.is::<ConfigError>()
             || cause.is::<RunError>()
             || cause.is::<UsageError>()
+            || cause.is::<TargetError>()
             || cause.downcast_ref().is_some_and(is_usage_of_data)
             || matches!(cause.downcast_ref(), Some(EvalError::Option { .. }))
     })
@@ -113,6 +115,7 @@ fn has_advice(cause: &(dyn std::error::Error + 'static)) -> bool {
         || cause.is::<RunError>()
         || cause.is::<FirstWeightsError>()
         || cause.is::<UsageError>()
+        || cause.is::<TargetError>()
         || cause.is::<EvalError>()
         || cause.is::<ReportError>()
         || cause.is::<NonFinite>()

@@ -97,8 +97,8 @@ pub enum DataError {
         /// The folder.
         path: PathBuf,
     },
-    /// The folder to replace holds something else than what `dimode synth` writes.
-    #[error("{}: not empty, and not made by 'dimode synth'; name another folder, --force will not replace this one", path.display())]
+    /// The folder to replace holds something else than what the command writes.
+    #[error("{}: not empty, and not made by this command; name another folder, --force will not replace this one", path.display())]
     NotOurs {
         /// The folder.
         path: PathBuf,

@@ -37,21 +37,23 @@ impl<'a> Staging<'a> {
     /// A place that must be free: nothing there, an empty folder, or an earlier one that may be replaced. Touches nothing.
     ///
     /// **Errors** [`DataError::Occupied`], [`DataError::NotOurs`] or [`DataError::NotEmpty`] when the place is taken,
-    /// [`DataError::Write`] when a file is there or the system refuses.
+    /// [`DataError::StagingTaken`] when `NAME.partial` or `NAME.replaced` is something else, [`DataError::Write`] when a file is there or the system refuses.
     pub fn new(place: &Path, earlier: Earlier<'a>) -> Result<Self, DataError> {
         let named = place.to_owned();
         let place = std::path::absolute(place).map_err(|error| DataError::write(&named, error))?;
         let staging = Self { named, place, earlier };
         staging.check_place()?;
+        staging.check_names_beside()?;
         Ok(staging)
     }
 
     /// Lets `content` write into the folder that then takes the place. What was begun is removed after an error.
     ///
-    /// **Errors** those of `content` and of [`Staging::new`]; [`DataError::StagingTaken`] when `NAME.partial` is something else.
+    /// **Errors** those of `content` and of [`Staging::new`].
     pub fn fill<R, E: From<DataError>>(&self, content: impl FnOnce(&Path) -> Result<R, E>) -> Result<R, E> {
+        self.check_names_beside()?;
         let partial = self.beside("partial");
-        clear_partial(&partial)?;
+        remove_leftover(&partial)?;
         let filled = make_ours(&partial).map_err(E::from).and_then(|()| content(&partial)).and_then(|filled| {
             self.put_in_place(&partial)?;
             Ok(filled)
@@ -84,6 +86,14 @@ impl<'a> Staging<'a> {
         }
     }
 
+    /// What an interrupted command left may stand there, nothing else.
+    fn check_names_beside(&self) -> Result<(), DataError> {
+        match ["partial", "replaced"].map(|suffix| self.beside(suffix)).into_iter().find(|path| path.exists() && !is_ours(path)) {
+            Some(path) => Err(DataError::StagingTaken { path }),
+            None => Ok(()),
+        }
+    }
+
     /// Moves the finished folder to its name; an old one steps aside first and is removed last.
     fn put_in_place(&self, partial: &Path) -> Result<(), DataError> {
         let failed = |error| DataError::write(&self.named, error);
@@ -95,6 +105,7 @@ impl<'a> Staging<'a> {
             Err(_) => {}
         }
         let old = self.beside("replaced");
+        remove_leftover(&old)?;
         fs::rename(&self.place, &old).map_err(|error| DataError::write(&old, error))?;
         if let Err(error) = fs::rename(partial, &self.place) {
             let _ = fs::rename(&old, &self.place);
@@ -114,15 +125,12 @@ fn entries(folder: &Path) -> io::Result<Vec<String>> {
     fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
 }
 
-/// Removes what an interrupted command left.
-fn clear_partial(partial: &Path) -> Result<(), DataError> {
-    if !partial.exists() {
-        return Ok(());
+/// Removes a folder, if there is one, that an interrupted command left.
+fn remove_leftover(folder: &Path) -> Result<(), DataError> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(DataError::write(folder, error)),
+        _ => Ok(()),
     }
-    if !is_ours(partial) {
-        return Err(DataError::StagingTaken { path: partial.to_owned() });
-    }
-    fs::remove_dir_all(partial).map_err(|error| DataError::write(partial, error))
 }
 
 /// Makes a folder that [`is_ours`] tells from others.

@@ -8,149 +8,113 @@
 //!
 //! Loss: mean difference, in pixels, of the rigid flows by the predicted and by the drawn motion, both before the drawn depth.
 
-use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
-
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
-use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var, par};
+use dimode_autodiff::{Shape, Tape, Tensor, Var};
 use dimode_geometry::Intrinsics;
 use dimode_geometry::taped::{self, RotationForm, masks};
-use dimode_nets::{Binder, Mode, ParamSet, PoseNetKind, weights};
-use rand::{RngExt, SeedableRng};
+use dimode_nets::{Binder, ParamSet, PoseNetKind};
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::{WorldKinds, step_all};
+use super::target::Form;
+use super::task::Task;
+use super::worlds::Worlds;
 use crate::batch::join;
 use crate::config::{NetsConfig, SCALE_ANCHOR};
-use crate::data::synthetic::{Preset, Split, SyntheticDataset};
 use crate::data::{Dataset, Jitter};
 use crate::losses::flow_consistency::flow_consistency;
 use crate::model::{DepthRange, Model, stack};
-use crate::optim::adamw::{AdamW, State};
-use crate::optim::schedule::{Decay, learning_rate};
-use crate::progress::Progress;
 
-/// Settings of the pre-training.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PosePretraining {
-    /// Size of the network.
-    pub pose: PoseNetKind,
-    /// Kinds of worlds that pictures are taken from, in turn.
-    pub presets: Vec<Preset>,
-    /// Picture width in pixels.
-    pub width: usize,
-    /// Picture height in pixels.
-    pub height: usize,
-    /// Training steps.
-    pub steps: usize,
-    /// Pairs in a batch; even, as half of them are seen in either order.
-    pub batch: usize,
-    /// Peak learning rate.
-    pub learning_rate: f64,
-    /// Steps of linear warm-up.
-    pub warmup: usize,
-    /// Seed of weights, pictures, depths and motions.
-    pub seed: u64,
+/// A pose network that learns the motions by which single pictures were moved.
+#[derive(Clone, Debug)]
+pub struct PoseTask {
+    model: Model,
 }
 
-impl Default for PosePretraining {
-    fn default() -> Self {
-        PosePretraining {
-            pose: PoseNetKind::Nano,
-            presets: vec![Preset::Street, Preset::Handheld, Preset::Lateral],
-            width: 128,
-            height: 64,
-            steps: 12_000,
-            batch: 8,
-            learning_rate: 1e-3,
-            warmup: 200,
-            seed: 1,
-        }
+impl PoseTask {
+    /// A network of the given size.
+    pub fn new(net: PoseNetKind) -> Self {
+        PoseTask { model: Model::new(&NetsConfig { pose: net, ..NetsConfig::default() }) }
     }
 }
 
-/// Mean difference of rigid flows on pictures of held-out worlds of one kind, in pixels.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct MotionError {
-    /// Kind of worlds.
-    pub preset: String,
-    /// By the network's motion.
-    pub network: f64,
-    /// By no motion.
-    pub zero: f64,
-    /// Pairs measured.
-    pub pairs: usize,
+/// Pairs made from single pictures, `[n, c, h, w]` each.
+#[derive(Clone, Debug)]
+pub struct PoseBatch {
+    /// The pictures.
+    pub source: Tensor<f32>,
+    /// The pictures seen from the other place.
+    pub target: Tensor<f32>,
+    /// Depth of the targets.
+    pub depth: Tensor<f32>,
+    /// Flow from target to source, pixels.
+    pub flow: Tensor<f32>,
+    /// Where the flow ends inside the picture.
+    pub mask: Tensor<f32>,
+    /// Camera of each pair.
+    pub cameras: Vec<Intrinsics>,
 }
 
-/// Trains the pose network and writes its files into the folder `out`; returns the error on held-out worlds.
-///
-/// # Errors
-/// When interrupted, when the loss becomes non-finite, or when a file cannot be written.
-pub fn train(config: &PosePretraining, out: &Path, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<MotionError>> {
-    par::inside(|| run(config, out, progress, stop))
-}
+impl Task for PoseTask {
+    type Batch = PoseBatch;
 
-fn run(config: &PosePretraining, out: &Path, progress: &dyn Progress, stop: &AtomicBool) -> Result<Vec<MotionError>> {
-    let model = model(config);
-    let mut params = model.init(config.seed).pose;
-    let pictures = Pictures::new(config, &config.presets, Split::Train)?;
-    let optimiser = AdamW { weight_decay: 1e-4, ..AdamW::default() };
-    let mut state = State::default();
-    let pool = Pool::new();
-    progress.start(config.steps as u64, "pre-training pose");
-    for step in 0..config.steps {
-        if stop.load(Ordering::Relaxed) {
-            bail!("interrupted at step {step}; nothing was written");
-        }
-        let pairs = pictures.moved(step, config.batch, model.range)?;
-        let tape = Tape::with_pool(pool.clone());
-        let mut binder = Binder::new(&tape, &params, Mode::Train);
-        let loss = difference(&model, &mut binder, &pairs);
-        let value = f64::from(loss.value().item());
-        if !value.is_finite() {
-            bail!("pre-training pose: the loss became {value} at step {step}; lower the learning rate");
-        }
-        let gradients = binder.gradients(&tape.backward_and_free(loss));
-        let statistics = binder.into_statistics();
-        let rate = learning_rate(config.learning_rate, step, config.steps, config.warmup, Decay::Cosine { final_fraction: 0.01 });
-        step_all(&optimiser, &mut state, &mut params, gradients, rate);
-        params.apply_statistics(&statistics);
-        progress.step(step as u64 + 1, &format!("loss {value:.3}"));
-        if (step + 1) % 500 == 0 {
-            let errors = evaluate(config, &model, &params, 16)?;
-            let text: Vec<_> = errors.iter().map(|e| format!("{} {:.3} px", e.preset, e.network)).collect();
-            progress.note(&format!("step {}: difference {}", step + 1, text.join(", ")));
-        }
+    const NETWORK: &'static str = "pose";
+    const FORM: Form = Form::Folder(&["pose_encoder.safetensors", "pose.safetensors"]);
+    const MEASURE: &'static str = "difference of flows";
+    const BASELINE: &'static str = "no motion";
+    const STREAM: u64 = 0x706f_7365;
+    const STEPS: usize = 12_000;
+    const BATCH: usize = 8;
+    const LOOK_EVERY: usize = 500;
+    const LOOK_PAIRS: usize = 16;
+    const FINAL_PAIRS: usize = 96;
+
+    fn init(&self, seed: u64) -> ParamSet<f32> {
+        self.model.init(seed).pose
     }
-    progress.finish();
-    weights::save_directory(out, &params).with_context(|| format!("cannot write {}", out.display()))?;
-    evaluate(config, &model, &params, 96)
-}
 
-fn model(config: &PosePretraining) -> Model {
-    Model::new(&NetsConfig { pose: config.pose, ..NetsConfig::default() })
-}
-
-/// Differences on pictures of held-out worlds, `pairs` of each kind.
-///
-/// # Errors
-/// When a picture cannot be rendered.
-pub fn evaluate(config: &PosePretraining, model: &Model, params: &ParamSet<f32>, pairs: usize) -> Result<Vec<MotionError>> {
-    let mut errors = Vec::new();
-    for preset in &config.presets {
-        let moved = Pictures::new(config, std::slice::from_ref(preset), Split::HeldOut)?.moved(0, pairs, model.range)?;
+    /// Pairs of a step; half of them are seen in either order, so that their number must be even.
+    fn batch(&self, worlds: &Worlds, step: usize, pairs: usize) -> Result<PoseBatch> {
+        let range = self.model.range;
+        let samples = worlds.samples(step, pairs, |dataset, world, index, mut rng| {
+            let frame = dataset.frame(world, 3 * (index % 2))?;
+            let image = stack([&Jitter::draw(&mut rng).apply(&frame.image)]);
+            let disparity = random_disparity(&mut rng, frame.image.width, frame.image.height);
+            Ok((image, range.depth_values(&disparity), random_motion(&mut rng, range), frame.intrinsics))
+        })?;
+        let source = join(&samples.iter().map(|s| &s.0).collect::<Vec<_>>());
+        let depth = join(&samples.iter().map(|s| &s.1).collect::<Vec<_>>());
+        let cameras: Vec<Intrinsics> = samples.iter().map(|s| s.3).collect();
+        let vectors = |k: usize| {
+            let data = samples.iter().flat_map(|s| s.2[k]).collect();
+            Tensor::from_vec(Shape::new(pairs, 3, 1, 1), data)
+        };
         let tape = Tape::new();
-        let network = difference(model, &mut Binder::frozen(&tape, params), &moved).value().item();
-        let still = tape.constant(Tensor::zeros(moved.flow.shape()));
-        let zero = flow_consistency(still, &moved.flow, &moved.mask).value().item();
-        errors.push(MotionError { preset: preset.to_string(), network: network.into(), zero: zero.into(), pairs });
+        let [rotation, translation] = [0, 1].map(|k| tape.constant(vectors(k)));
+        let pose = taped::source_from_target(rotation, translation, false, RotationForm::Exponential);
+        let flow = taped::rigid_flow(tape.constant(depth.clone()), pose.rotation, pose.translation, &cameras).slice(1, 0, 2);
+        let target = taped::warp(tape.constant(source.clone()), flow, SamplePadding::Border).value();
+        let flow = flow.value();
+        let mask = masks::in_view(&flow);
+        Ok(PoseBatch { source, target, depth, flow, mask, cameras })
     }
-    Ok(errors)
+
+    fn loss<'t>(&self, binder: &mut Binder<'t, f32>, batch: &PoseBatch) -> Var<'t, f32> {
+        difference(&self.model, binder, batch)
+    }
+
+    /// Mean differences of the rigid flows by the network's motions, and by none, from the true ones.
+    fn errors(&self, params: &ParamSet<f32>, batch: &PoseBatch) -> [f64; 2] {
+        let tape = Tape::new();
+        let network = difference(&self.model, &mut Binder::frozen(&tape, params), batch);
+        let still = tape.constant(Tensor::zeros(batch.flow.shape()));
+        [network, flow_consistency(still, &batch.flow, &batch.mask)].map(|error| error.value().item().into())
+    }
 }
 
 /// Mean difference in pixels of the rigid flows by the network's motions and by the true ones.
-fn difference<'t>(model: &Model, binder: &mut Binder<'t, f32>, pairs: &Moved) -> Var<'t, f32> {
+fn difference<'t>(model: &Model, binder: &mut Binder<'t, f32>, pairs: &PoseBatch) -> Var<'t, f32> {
     let tape = binder.tape();
     let (n, half) = (pairs.cameras.len(), pairs.cameras.len() / 2);
     let part = |x: &Tensor<f32>, from: usize, len: usize| tape.constant(x.clone()).slice(0, from, len).value();
@@ -163,7 +127,7 @@ fn difference<'t>(model: &Model, binder: &mut Binder<'t, f32>, pairs: &Moved) ->
 
 /// Mean difference in pixels of the rigid flow by given motions and the true flow. Motions say the second frame from the first:
 /// source from target in the first half of the pairs, target from source in the second.
-fn flow_difference<'t>(rotation: Var<'t, f32>, translation: Var<'t, f32>, pairs: &Moved) -> Var<'t, f32> {
+fn flow_difference<'t>(rotation: Var<'t, f32>, translation: Var<'t, f32>, pairs: &PoseBatch) -> Var<'t, f32> {
     let tape = rotation.tape();
     let (n, half) = (pairs.cameras.len(), pairs.cameras.len() / 2);
     let pose = |from, len, invert| {
@@ -175,66 +139,6 @@ fn flow_difference<'t>(rotation: Var<'t, f32>, translation: Var<'t, f32>, pairs:
     let translation = Var::concat(&[forwards.translation, backwards.translation], 0);
     let rigid = taped::rigid_flow(tape.constant(pairs.depth.clone()), rotation, translation, &pairs.cameras);
     flow_consistency(rigid.slice(1, 0, 2), &pairs.flow, &pairs.mask)
-}
-
-/// Pairs made from single pictures, `[n, c, h, w]` each.
-struct Moved {
-    /// The pictures.
-    source: Tensor<f32>,
-    /// The pictures seen from the other place.
-    target: Tensor<f32>,
-    /// Depth of the targets.
-    depth: Tensor<f32>,
-    /// Flow from target to source, pixels.
-    flow: Tensor<f32>,
-    /// Where the flow ends inside the picture.
-    mask: Tensor<f32>,
-    cameras: Vec<Intrinsics>,
-}
-
-/// Where pictures come from.
-struct Pictures {
-    kinds: Vec<SyntheticDataset>,
-    seed: u64,
-}
-
-impl Pictures {
-    fn new(config: &PosePretraining, presets: &[Preset], split: Split) -> Result<Self> {
-        let size = (config.width, config.height);
-        let worlds = config.steps.max(1) * config.batch.max(96);
-        let kinds = WorldKinds { presets, size, seed: config.seed, split, worlds, frames: 4 }.open()?;
-        Ok(Pictures { kinds, seed: config.seed })
-    }
-
-    /// Pairs of a step. Two samples share a world.
-    fn moved(&self, step: usize, batch: usize, range: DepthRange) -> Result<Moved> {
-        let samples = par::map_indices(batch, |i| -> Result<_> {
-            let index = step * batch + i;
-            let mut rng = ChaCha8Rng::seed_from_u64(self.seed ^ 0x706f_7365);
-            rng.set_stream(index as u64);
-            let kind = &self.kinds[index / 2 % self.kinds.len()];
-            let frame = kind.frame(index / 2 % kind.sequence_count(), 3 * (index % 2))?;
-            let image = stack([&Jitter::draw(&mut rng).apply(&frame.image)]);
-            let disparity = random_disparity(&mut rng, frame.image.width, frame.image.height);
-            Ok((image, range.depth_values(&disparity), random_motion(&mut rng, range), frame.intrinsics))
-        });
-        let samples = samples.into_iter().collect::<Result<Vec<_>>>()?;
-        let source = join(&samples.iter().map(|s| &s.0).collect::<Vec<_>>());
-        let depth = join(&samples.iter().map(|s| &s.1).collect::<Vec<_>>());
-        let cameras: Vec<Intrinsics> = samples.iter().map(|s| s.3).collect();
-        let vectors = |k: usize| {
-            let data = samples.iter().flat_map(|s| s.2[k]).collect();
-            Tensor::from_vec(Shape::new(batch, 3, 1, 1), data)
-        };
-        let tape = Tape::new();
-        let [rotation, translation] = [0, 1].map(|k| tape.constant(vectors(k)));
-        let pose = taped::source_from_target(rotation, translation, false, RotationForm::Exponential);
-        let flow = taped::rigid_flow(tape.constant(depth.clone()), pose.rotation, pose.translation, &cameras).slice(1, 0, 2);
-        let target = taped::warp(tape.constant(source.clone()), flow, SamplePadding::Border).value();
-        let flow = flow.value();
-        let mask = masks::in_view(&flow);
-        Ok(Moved { source, target, depth, flow, mask, cameras })
-    }
 }
 
 /// Uniform in `[lo, hi)`.
@@ -299,15 +203,26 @@ fn unit_vector(rng: &mut ChaCha8Rng, tangential: f64) -> [f64; 3] {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use nalgebra::Vector3;
+    use rand::SeedableRng;
 
-    fn config() -> PosePretraining {
-        PosePretraining { presets: vec![Preset::Handheld], width: 64, height: 64, steps: 2, batch: 4, ..Default::default() }
-    }
+    use super::*;
+    use crate::data::synthetic::{Preset, Split};
+    use crate::pretrain::Settings;
 
     fn range() -> DepthRange {
-        model(&config()).range
+        task().model.range
+    }
+
+    fn task() -> PoseTask {
+        PoseTask::new(PoseNetKind::Nano)
+    }
+
+    /// The pairs of a step of four.
+    fn pairs(step: usize) -> PoseBatch {
+        let settings = Settings { width: 64, height: 64, ..Settings::new(2, 4) };
+        let worlds = Worlds::open::<PoseTask>(&settings, &[Preset::Handheld], Split::Train).unwrap();
+        task().batch(&worlds, step, 4).unwrap()
     }
 
     #[test]
@@ -337,8 +252,7 @@ mod tests {
     /// The drawn motions, as the network would have to say them, leave nothing; others do.
     #[test]
     fn true_motions_cost_nothing_in_either_order() {
-        let pictures = Pictures::new(&config(), &[Preset::Handheld], Split::Train).unwrap();
-        let pairs = pictures.moved(0, 4, range()).unwrap();
+        let pairs = pairs(0);
         let said = |wrong: f64| {
             let mut said = [Vec::new(), Vec::new()];
             for i in 0..4 {
@@ -364,8 +278,7 @@ mod tests {
     /// Reading the target at the place where a source pixel came from gives that source pixel again.
     #[test]
     fn targets_are_the_pictures_moved_by_the_flow() {
-        let pictures = Pictures::new(&config(), &[Preset::Handheld], Split::Train).unwrap();
-        let pairs = pictures.moved(1, 4, range()).unwrap();
+        let pairs = pairs(1);
         let shape = pairs.source.shape();
         for n in 0..4 {
             for i in (0..shape.plane()).step_by(97).filter(|&i| pairs.mask.plane(n, 0)[i] > 0.0) {

@@ -3,6 +3,7 @@
 mod bad_input;
 mod evaluation;
 mod help;
+mod pretrain;
 mod settings;
 mod synth;
 mod training;

@@ -59,7 +59,7 @@ fn folders_are_replaced_only_when_asked() {
     synth(&out, &[]).refused(2, &["already written", "add --force"]);
     synth(&out, &["--force"]).succeeded();
     fs::write(out.join("mine.txt"), "x").unwrap();
-    let not_ours = ["not made by 'dimode synth'", "fix: name another folder, --force will not replace this one"];
+    let not_ours = ["not made by this command", "fix: name another folder, --force will not replace this one"];
     synth(&out, &["--force"]).refused(2, &not_ours);
     synth(&out, &[]).refused(2, &not_ours);
     assert!(out.join("mine.txt").exists());
