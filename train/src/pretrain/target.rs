@@ -23,7 +23,7 @@ pub enum Form {
 #[derive(Debug, Error)]
 pub enum TargetError {
     /// Something is there and may not be replaced.
-    #[error("{}: already there; name another place, or add --force to replace it", path.display())]
+    #[error("{}: already written; name another file, or add --force to replace this one", path.display())]
     AlreadyThere {
         /// The place.
         path: PathBuf,
@@ -192,7 +192,7 @@ mod tests {
         let target = Target::new(&path, file, false).unwrap();
         assert!(entries(place.path()).is_empty(), "nothing is made before there are weights");
         target.write(&params(1.0)).unwrap();
-        refused(&path, file, false, "already there");
+        refused(&path, file, false, "already written");
         Target::new(&path, file, true).unwrap().write(&params(2.0)).unwrap();
         assert_eq!(first_value(&path), 2.0);
     }

@@ -53,7 +53,7 @@ fn places_that_cannot_take_the_weights_are_refused_before_the_training() {
     let wild = ["--force", "--learning-rate", "1e38"];
     pretrain("flow", &folder, &wild).refused(2, &["frames: a folder", "fix: name a file"]);
     pretrain("flow", &place.path().join("new/sub/"), &wild).refused(2, &["new/sub/: a folder", "fix: name a file"]);
-    pretrain("pose", &folder, &wild).refused(2, &["frames: holds '000001.png'", "fix: name another folder"]);
+    pretrain("pose", &folder, &wild).refused(2, &["frames: not empty, and not made by this command", "fix: name another folder"]);
     pretrain("pose", &file, &wild).refused(2, &["file: is a file", "fix: name a folder"]);
     for network in ["flow", "pose"] {
         pretrain(network, &file.join("weights"), &wild).refused(1, &["file/weights: cannot be written", "fix: "]);
@@ -70,7 +70,7 @@ fn older_weights_are_replaced_on_request_only() {
         let bytes = || fs::read(place.path().join(file)).unwrap();
         pretrain(network, &out, &[]).succeeded();
         let first = bytes();
-        pretrain(network, &out, &["--seed", "2"]).refused(2, &[&format!("{network}: already there"), "--force"]);
+        pretrain(network, &out, &["--seed", "2"]).refused(2, &[&format!("{network}: already written"), "--force"]);
         assert!(bytes() == first);
         pretrain(network, &out, &["--seed", "2", "--force"]).succeeded();
         assert!(bytes() != first);
