@@ -60,6 +60,24 @@ impl From<Align> for Alignment {
     }
 }
 
+/// How a trajectory is written in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// 12 numbers a line, or 13 with the frame index first
+    Kitti,
+    /// Time, position, quaternion: 8 numbers a line
+    Tum,
+}
+
+impl From<Format> for TrajectoryFormat {
+    fn from(format: Format) -> Self {
+        match format {
+            Format::Kitti => Self::Kitti,
+            Format::Tum => Self::Tum,
+        }
+    }
+}
+
 /// Flags of `dimode eval odometry`.
 #[derive(Debug, Args)]
 #[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
@@ -87,7 +105,7 @@ pub struct EvalOdometryArgs {
     align: Align,
     /// Form of both files [default: by the number of columns]
     #[arg(long, value_name = "FORM")]
-    format: Option<TrajectoryFormat>,
+    format: Option<Format>,
     /// Lengths of the sub-sequences in metres, with commas [default: 100,200,..,800; of a run as in its report]
     #[arg(long, value_name = "METRES", value_delimiter = ',')]
     lengths: Vec<f64>,
@@ -133,7 +151,7 @@ impl EvalOdometryArgs {
         let result = eval_odometry(&EvalOdometryRequest {
             truth,
             estimate,
-            format: self.format,
+            format: self.format.map(Into::into),
             max_time_difference: self.max_time_difference,
             protocol,
         })?;

@@ -10,12 +10,12 @@ use crate::data::DataError;
 use crate::eval::{Alignment, Arithmetic, EvalError, OdometryErrors, OdometryProtocol, evaluate_odometry};
 
 /// How a trajectory is written in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TrajectoryFormat {
-    /// 12 numbers a line, or 13 with the frame index first
+    /// 12 numbers a line, or 13 with the frame index first.
     Kitti,
-    /// Time, position, quaternion: 8 numbers a line
+    /// Time, position, quaternion: 8 numbers a line.
     Tum,
 }
 
