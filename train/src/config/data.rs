@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::ConfigError;
 use super::error::require;
 use crate::data::KittiCamera;
-use crate::data::synthetic::Preset;
+use crate::data::synthetic::{MAX_FRAMES, Preset};
 
 /// Where frames come from and what size they have.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -75,10 +75,10 @@ impl DataConfig {
         side("data.height", self.height)?;
         require((1..=1 << 24).contains(&self.worlds), "data.worlds", self.worlds, "must be 1 to 16777216")?;
         require(
-            (3..=10_000).contains(&self.frames),
+            (3..=MAX_FRAMES).contains(&self.frames),
             "data.frames",
             self.frames,
-            "must be 3 to 10000: a snippet is three frames",
+            &format!("must be 3 to {MAX_FRAMES}: a snippet is three frames"),
         )?;
         require((0.0..=0.5).contains(&self.noise), "data.noise", self.noise, "must be between 0 and 0.5")?;
         require((0.0..=1.0).contains(&self.exposure), "data.exposure", self.exposure, "must be between 0 and 1")

@@ -171,6 +171,8 @@ fn ranges_are_checked_and_the_key_is_named() {
     check(|c| c.train.stages.clear(), "train.stages = 0");
     check(|c| c.data.width = 100, "data.width = 100");
     check(|c| c.data.frames = 2, "data.frames = 2");
+    check(|c| c.data.frames = 5001, "data.frames = 5001");
+    check(|c| c.eval.frames = 5001, "eval.frames = 5001");
     check(|c| c.nets.max_depth = 0.05, "nets.max_depth = 0.05");
     check(|c| c.loss.scales = 5, "loss.scales = 5");
     check(|c| c.loss.geometric.kappa = -1.0, "loss.geometric.kappa = -1");

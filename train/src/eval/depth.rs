@@ -201,14 +201,13 @@ fn valid_pairs(
     }
     finite("predicted depth", prediction)?;
     finite("true depth", truth)?;
-    let (min, max) = (protocol.min_depth as f32, protocol.max_depth as f32);
     let [top, bottom, left, right] = protocol.crop.bounds(size.0, size.1);
     let (mut g, mut p) = (Vec::new(), Vec::new());
     for row in top..bottom {
         for column in left..right {
             let i = row * size.1 + column;
             let (true_depth, value) = (truth.data[i], prediction.data[i]);
-            if !(true_depth > min && true_depth < max) || mask.is_some_and(|mask| !mask[i]) {
+            if !protocol.counts(true_depth) || mask.is_some_and(|mask| !mask[i]) {
                 continue;
             }
             if value <= 0.0 {

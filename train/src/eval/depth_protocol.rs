@@ -85,6 +85,11 @@ impl DepthProtocol {
         format!("{scaling}, {} to {} m, {clamp}, {crop}", self.min_depth, self.max_depth)
     }
 
+    /// Whether a pixel of this true depth is compared: it lies strictly between the bounds.
+    pub fn counts(&self, true_depth: f32) -> bool {
+        true_depth > self.min_depth as f32 && true_depth < self.max_depth as f32
+    }
+
     /// **Errors** when the bounds make no sense.
     pub(crate) fn check(&self) -> Result<(), EvalError> {
         if !(self.min_depth.is_finite() && self.min_depth >= 0.0) {

@@ -9,7 +9,7 @@ use crate::config::{Config, DataConfig};
 use crate::data::synthetic::{Split, SyntheticConfig, SyntheticDataset};
 use crate::data::{DataError, Dataset, Frame, LoadOptions, open};
 
-/// A folder with at most this many frames is decoded as a whole before a run begins.
+/// At most this many frames are decoded or rendered before a run begins.
 const CHECKED_FRAMES: usize = 400;
 /// Frames of a snippet.
 const SNIPPET: usize = 3;
@@ -105,20 +105,45 @@ fn worlds(config: &Config, split: Split, sequences: usize, frames: usize) -> Res
 }
 
 /// Finds out before anything is written whether the inputs of a run can be used: the folder is opened, and the frames of a
-/// small one are decoded.
+/// small one are decoded; worlds can be rendered, and show depth that is scored.
 ///
 /// **Errors** [`DataError`] for the first thing that cannot be used.
 pub fn check_data(config: &Config) -> Result<(), DataError> {
-    let Some(path) = &config.data.path else { return Ok(()) };
-    let dataset = open_frames(path, &config.data, SNIPPET)?;
-    let frames: Vec<(usize, usize)> =
-        (0..dataset.sequence_count()).flat_map(|s| (0..dataset.sequence_len(s)).map(move |f| (s, f))).collect();
-    if frames.len() <= CHECKED_FRAMES {
-        for (sequence, frame) in frames {
+    let dataset = training_frames(config)?;
+    if config.data.path.is_none() {
+        return check_scored_depth(config);
+    }
+    if frame_count(dataset.as_ref()) <= CHECKED_FRAMES {
+        for (sequence, frame) in all_frames(dataset.as_ref()) {
             dataset.frame(sequence, frame)?;
         }
     }
     Ok(())
+}
+
+/// Renders held-out frames up to the first that shows depth within the bounds of the evaluation.
+fn check_scored_depth(config: &Config) -> Result<(), DataError> {
+    let (worlds, protocol) = (held_out_worlds(config)?, config.eval.protocol());
+    for (sequence, frame) in all_frames(&worlds).take(CHECKED_FRAMES) {
+        let frame = worlds.frame(sequence, frame)?;
+        if frame.depth.iter().any(|depth| depth.data.iter().any(|&z| protocol.counts(z))) {
+            return Ok(());
+        }
+    }
+    if frame_count(&worlds) > CHECKED_FRAMES {
+        return Ok(());
+    }
+    let reason = format!("the worlds show nothing between it and eval.max_depth = {}; widen the range", protocol.max_depth);
+    Err(DataError::Option { option: "eval.min_depth", value: protocol.min_depth.to_string(), reason })
+}
+
+fn frame_count(dataset: &dyn Dataset) -> usize {
+    (0..dataset.sequence_count()).map(|s| dataset.sequence_len(s)).sum()
+}
+
+/// Sequence and number of every frame, in order.
+fn all_frames(dataset: &dyn Dataset) -> impl Iterator<Item = (usize, usize)> {
+    (0..dataset.sequence_count()).flat_map(|s| (0..dataset.sequence_len(s)).map(move |f| (s, f)))
 }
 
 #[cfg(test)]
@@ -150,5 +175,25 @@ mod tests {
         let cropped = frame("camera = \"left-grey\"\ncenter_crop = true\n");
         assert_eq!((cropped.intrinsics.fu, cropped.intrinsics.fv), (90.0, 90.0), "left grey, cropped");
         assert!(plain.image.data[0] > 0.7 && cropped.image.data[0] < 0.3);
+    }
+
+    #[test]
+    fn bounds_that_nothing_rendered_meets_are_refused() {
+        let mut config = Config::quick();
+        (config.data.width, config.data.height) = (64, 64);
+        check_data(&config).unwrap();
+        (config.eval.min_depth, config.eval.max_depth) = (50_000.0, 60_000.0);
+        let message = check_data(&config).unwrap_err().to_string();
+        assert!(message.starts_with("eval.min_depth = 50000: the worlds show nothing"), "{message}");
+    }
+
+    #[test]
+    fn settings_that_the_renderer_refuses_are_refused_before_a_run() {
+        for change in [|c: &mut Config| c.data.frames = 6000, |c: &mut Config| c.eval.frames = 6000] {
+            let mut config = Config::quick();
+            change(&mut config);
+            let message = check_data(&config).unwrap_err().to_string();
+            assert!(message.starts_with("frames = 6000"), "{message}");
+        }
     }
 }

@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 use super::random::mix;
 use crate::data::DataError;
 
+/// Most frames of a sequence.
+pub const MAX_FRAMES: usize = 5000;
+
 /// The kind of world and of camera motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -89,7 +92,7 @@ pub struct SyntheticConfig {
     pub split: Split,
     /// Number of sequences, each in a world of its own.
     pub sequences: usize,
-    /// Frames a sequence has, 1 to 5000.
+    /// Frames a sequence has, 1 to [`MAX_FRAMES`].
     pub frames: usize,
     /// Standard deviation of Gaussian noise added to each colour value in [0, 1]; 0 for none, at most 0.5.
     pub noise: f64,
@@ -157,8 +160,8 @@ impl SyntheticConfig {
         if self.sequences == 0 {
             return refuse("sequences", "0".to_owned(), "at least one sequence is needed");
         }
-        if !(1..=5000).contains(&self.frames) {
-            return refuse("frames", self.frames.to_string(), "a sequence has 1 to 5000 frames");
+        if !(1..=MAX_FRAMES).contains(&self.frames) {
+            return refuse("frames", self.frames.to_string(), &format!("a sequence has 1 to {MAX_FRAMES} frames"));
         }
         for (option, value, limit) in [("noise", self.noise, 0.5), ("exposure", self.exposure, 1.0)] {
             if !(0.0..=limit).contains(&value) {

@@ -35,5 +35,5 @@ mod world;
 #[cfg(test)]
 mod tests;
 
-pub use config::{Preset, Split, SyntheticConfig};
+pub use config::{MAX_FRAMES, Preset, Split, SyntheticConfig};
 pub use dataset::SyntheticDataset;
