@@ -14,7 +14,7 @@
 //! [`Evaluation`] holds both tables; its JSON form has the field names as stable keys: `title`, `data`,
 //! `depth.{protocol, frames, skipped, rows[], ratios[]}` with `rows[].{name, kind, abs_rel, sq_rel, rmse, rmse_log, a1, a2,
 //! a3, images, skipped, scale_median, scale_spread, per_image[]}`, and `motion.{protocol, direction_frame, sequences, pairs,
-//! rows[], ratios[]}` with `rows[].{name, kind, frame_to_frame, odometry}`. A number that is not available is `null`.
+//! rows[], ratios[]}` with `rows[].{name, kind, frame_to_frame, odometry}`, and `notes[]` where there are any. A number that is not available is `null`.
 
 pub mod align;
 pub mod depth;
@@ -102,6 +102,9 @@ pub struct Evaluation {
     pub depth: Option<DepthTable>,
     /// Motion rows; absent without true poses.
     pub motion: Option<MotionTable>,
+    /// Why something was not scored although there is truth for it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
 }
 
 impl Evaluation {
@@ -110,9 +113,11 @@ impl Evaluation {
         table::grids(self)
     }
 
-    /// The tables as text. The best value of a column carries a star, the last line is the ratio to the best trivial row.
+    /// The tables and notes as text. The best value of a column carries a star, the last line is the ratio to the best
+    /// trivial row.
     pub fn render_table(&self) -> String {
-        let parts: Vec<String> = self.grids().iter().map(table::render).collect();
+        let tables = self.grids().into_iter().map(|grid| table::render(&grid));
+        let parts: Vec<String> = tables.chain(self.notes.iter().map(|note| format!("{}: {note}\n", self.data))).collect();
         if parts.is_empty() {
             return format!("{}: no ground truth, nothing to evaluate\n", self.data);
         }

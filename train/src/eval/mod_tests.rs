@@ -25,6 +25,7 @@ fn example() -> Evaluation {
         data: "held-out street worlds".into(),
         depth: Some(depth.finish().unwrap()),
         motion: Some(motion.finish().unwrap()),
+        notes: Vec::new(),
     }
 }
 
@@ -67,10 +68,20 @@ fn json_keys_are_stable() {
 
 #[test]
 fn without_truth_the_table_says_so() {
-    let empty = Evaluation { title: "x".into(), data: "my frames".into(), depth: None, motion: None };
+    let empty = Evaluation { title: "x".into(), data: "my frames".into(), depth: None, motion: None, notes: Vec::new() };
     assert!(empty.render_table().contains("my frames: no ground truth"));
     assert_eq!(empty.ratio("abs_rel"), None);
     assert!(example().ratio("abs_rel").unwrap() < 0.1);
+}
+
+#[test]
+fn notes_are_told_instead_of_a_table() {
+    let mut noted = example();
+    assert!(serde_json::to_value(&noted).unwrap().get("notes").is_none());
+    (noted.depth, noted.notes) = (None, vec!["depth is not scored".to_owned()]);
+    let text = noted.render_table();
+    assert!(text.contains("held-out street worlds: depth is not scored") && text.contains("zero motion"), "{text}");
+    assert_eq!(serde_json::to_value(&noted).unwrap()["notes"][0], "depth is not scored");
 }
 
 #[test]

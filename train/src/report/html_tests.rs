@@ -35,6 +35,7 @@ fn evaluation() -> Evaluation {
         data: "held-out <worlds>".into(),
         depth: Some(depth.finish().unwrap()),
         motion: Some(motion.finish().unwrap()),
+        notes: Vec::new(),
     }
 }
 

@@ -14,8 +14,8 @@ use super::{RunFolder, Stopped, TrainRequest, TrainedModel, held_out_worlds, tra
 use crate::config::Config;
 use crate::data::{DataError, Dataset, FlowMap, Frame, Map};
 use crate::eval::{
-    Alignment, DepthProtocol, DepthTable, DepthTableBuilder, Evaluation, MeanDisparity, MeanMotion, MotionTable,
-    MotionTableBuilder, OdometryProtocol, TrivialDepth, align_trajectory, follow,
+    Alignment, DepthTable, DepthTableBuilder, EvalError, Evaluation, MeanDisparity, MeanMotion, MotionTable, MotionTableBuilder,
+    OdometryProtocol, TrivialDepth, align_trajectory, follow,
 };
 use crate::model::stack;
 use crate::progress::Progress;
@@ -55,12 +55,12 @@ pub fn conclude(
     };
     let frames: &dyn Dataset = held_out.as_ref().map_or(training, |d| d);
     let means = means(training)?;
-    let (sequences, depth) = predict(request, folder, trained, frames, means.0, progress, stop)?;
+    let (sequences, depth, notes) = predict(request, folder, trained, frames, means.0, progress, stop)?;
     let paths = sequences.iter().filter_map(|s| Some((s.name.as_str(), &s.steps[..], s.truth.as_ref()?)));
     let motion = motion_table(&paths.collect::<Vec<_>>(), means.1, &OdometryChanges::default())?;
     let kind = if held_out.is_some() { "not trained on" } else { "trained on without its truth" };
-    let evaluation =
-        Evaluation { title: request.out.display().to_string(), data: format!("{}, {kind}", frames.name()), depth, motion };
+    let (title, data) = (request.out.display().to_string(), format!("{}, {kind}", frames.name()));
+    let evaluation = Evaluation { title, data, depth, motion, notes };
     let report = report(request, folder, trained, &sequences, &evaluation)?;
     write_report(&folder.report(), &report)?;
     write_json(&folder.metrics(), &evaluation)?;
@@ -86,7 +86,7 @@ struct Shown {
 }
 
 /// Predicts every sequence, scores its depth where the truth is known, and writes depth pictures (16 bit, 256 steps a metre)
-/// and trajectories (KITTI and TUM).
+/// and trajectories (KITTI and TUM). Gives the sequences, the scores, and why there are none although there is truth.
 fn predict(
     request: &TrainRequest,
     folder: &RunFolder,
@@ -95,13 +95,10 @@ fn predict(
     mean_disparity: Option<Map>,
     progress: &dyn Progress,
     stop: &AtomicBool,
-) -> Result<(Vec<Predicted>, Option<DepthTable>)> {
-    let settings = &request.config.eval;
-    let protocol = DepthProtocol { min_depth: settings.min_depth, max_depth: settings.max_depth, ..DepthProtocol::default() };
+) -> Result<(Vec<Predicted>, Option<DepthTable>, Vec<String>)> {
     let mut trivial = vec![TrivialDepth::Constant(1.0)];
     trivial.extend(mean_disparity.map(TrivialDepth::MeanDisparity));
-    let mut table = DepthTableBuilder::new("this run", protocol, trivial)?;
-    let mut with_truth = false;
+    let mut table = DepthTableBuilder::new("this run", request.config.eval.protocol(), trivial)?;
     let trajectories = new_folder(folder.path().join("trajectories"))?;
     let all = 0..dataset.sequence_count();
     progress.start(all.clone().map(|s| dataset.sequence_len(s) as u64).sum(), "evaluation");
@@ -114,7 +111,6 @@ fn predict(
         let steps = trained.walk(dataset, sequence, &mut |index, frame, depth| {
             if let Some(truth) = &frame.depth {
                 table.add(&depth, truth, None)?;
-                with_truth = true;
             }
             write_depth_png16(&place.join(format!("{}.png", frame.name)), &in_metres(&depth, frame.depth.as_ref()))?;
             poses.push(frame.world_from_camera);
@@ -140,8 +136,13 @@ fn predict(
         sequences.push(Predicted { name, steps, truth, shown });
     }
     progress.finish();
-    let table = if with_truth { Some(table.finish()?) } else { None };
-    Ok((sequences, table))
+    let (table, notes) = match table.finish() {
+        Ok(table) => (Some(table), Vec::new()),
+        Err(EvalError::NoValidPixels { images: 0 }) => (None, Vec::new()),
+        Err(error @ EvalError::NoValidPixels { .. }) => (None, vec![format!("depth is not scored: {error}")]),
+        Err(other) => return Err(other.into()),
+    };
+    Ok((sequences, table, notes))
 }
 
 fn new_folder(path: PathBuf) -> Result<PathBuf, DataError> {
@@ -184,13 +185,12 @@ pub(super) fn means_of(config: &Config) -> Result<(Option<Map>, Option<MeanMotio
 
 /// Mean disparity map and mean motion of the training data, as far as its truth is known.
 fn means(training: &dyn Dataset) -> Result<(Option<Map>, Option<MeanMotion>)> {
-    let (mut disparity, mut motions, mut maps) = (MeanDisparity::new(), Vec::new(), 0);
+    let (mut disparity, mut motions) = (MeanDisparity::new(), Vec::new());
     for sequence in 0..training.sequence_count().min(MEAN_SEQUENCES) {
         let mut before = None;
         for_each_frame(training, sequence, &mut |frame| {
             if let Some(depth) = &frame.depth {
                 disparity.add(depth)?;
-                maps += 1;
             }
             if let (Some(a), Some(b)) = (before, frame.world_from_camera) {
                 motions.push(Se3::inverse(&b).compose(&a));
@@ -199,7 +199,8 @@ fn means(training: &dyn Dataset) -> Result<(Option<Map>, Option<MeanMotion>)> {
             Ok(())
         })?;
     }
-    let disparity = if maps > 0 { Some(disparity.finish()?) } else { None };
+    // Its one error: no pixel is known.
+    let disparity = disparity.finish().ok();
     let motion = if motions.is_empty() { None } else { Some(MeanMotion::fit(&motions)?) };
     Ok((disparity, motion))
 }
@@ -245,6 +246,8 @@ fn report(
         stage_marks.push(StageMark { step: begin, label: name.to_owned() });
         begin = end;
     }
+    let scale = "Depth and translation of monocular video have no common scale: depth is scaled by the ratio of medians, paths \
+                 are aligned as named beside them.";
     Ok(ReportInput {
         title: format!("DiMoDE run: {}", evaluation.title),
         command: request.command.clone(),
@@ -255,11 +258,7 @@ fn report(
         samples: sequences.iter().filter_map(|s| s.shown.as_ref().map(|shown| picture(trained, &s.name, shown))).collect(),
         trajectories: sequences.iter().take(SHOWN).map(path).collect::<Result<_>>()?,
         evaluation: Some(evaluation.clone()),
-        notes: vec![
-            "Depth and translation of monocular video have no common scale: depth is scaled by the ratio of medians, paths are \
-             aligned as named beside them."
-                .to_owned(),
-        ],
+        notes: std::iter::once(scale.to_owned()).chain(evaluation.notes.iter().cloned()).collect(),
     })
 }
 

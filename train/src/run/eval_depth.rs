@@ -75,7 +75,7 @@ pub fn eval_depth(request: &EvalDepthRequest, progress: &dyn Progress) -> Result
     let (title, data, table) = match &request.source {
         DepthSource::Run { run, data, sequences } => {
             let model = TrainedModel::load(run)?;
-            let protocol = request.changes.on(request.protocol.unwrap_or_else(|| protocol_of(&model)));
+            let protocol = request.changes.on(request.protocol.unwrap_or_else(|| model.config.eval.protocol()));
             let dataset = frames_to_score(&model.config, data.as_deref(), sequences)?;
             let table = score_run(&model, dataset.as_ref(), protocol, progress)?;
             (run.display().to_string(), dataset.name(), table)
@@ -86,12 +86,7 @@ pub fn eval_depth(request: &EvalDepthRequest, progress: &dyn Progress) -> Result
             (prediction.display().to_string(), truth.display().to_string(), table)
         }
     };
-    Ok(Evaluation { title, data, depth: Some(table), motion: None })
-}
-
-fn protocol_of(model: &TrainedModel) -> DepthProtocol {
-    let eval = &model.config.eval;
-    DepthProtocol { min_depth: eval.min_depth, max_depth: eval.max_depth, ..DepthProtocol::default() }
+    Ok(Evaluation { title, data, depth: Some(table), motion: None, notes: Vec::new() })
 }
 
 fn score_run(

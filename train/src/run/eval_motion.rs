@@ -63,5 +63,6 @@ pub fn eval_motion(request: &EvalMotionRequest, progress: &dyn Progress) -> Resu
         let advice = "name a folder with poses, or leave --data out to score on embedded worlds";
         return Err(DataError::malformed(&PathBuf::from(dataset.name()), reason, advice).into());
     }
-    Ok(Evaluation { title: request.run.display().to_string(), data: dataset.name(), depth: None, motion })
+    let (title, data) = (request.run.display().to_string(), dataset.name());
+    Ok(Evaluation { title, data, depth: None, motion, notes: Vec::new() })
 }
