@@ -1,9 +1,9 @@
-//! What to say when a loss or a gradient is not finite: which term, which step, which sample.
+//! What to say when a loss, a gradient or a weight is not finite: which term, which step, which sample.
 
 use crate::batch::Batch;
 
-const ADVICE: &str =
-    "everything before this step is saved; lower train.learning_rate, or choose another form of this term in [loss.geometric]";
+const ADVICE: &str = "the last checkpoint stays; lower train.learning_rate, or choose another form of this term in \
+     [loss.geometric]: in config.toml of the run, then go on with --resume, or begin again with --force";
 
 /// A step that could not be taken; weights and optimiser are as before it.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -11,9 +11,9 @@ const ADVICE: &str =
 pub struct NonFinite {
     /// Step, counted from 1 as in the log.
     pub step: u64,
-    /// `value` or `gradient`.
+    /// `value` or `gradient` of a term, `square` of a weight.
     pub what: &'static str,
-    /// Name of the loss term.
+    /// Name of the loss term or of the weight.
     pub term: String,
     /// Name of the first sample where it can be seen; all samples of the batch when it cannot be told; none where samples have no
     /// names.
@@ -30,12 +30,12 @@ fn place(samples: &[String]) -> String {
     }
 }
 
-/// A term that is not finite, before step and names are known.
+/// A term or a weight that is not finite, before step and names are known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Failure {
-    /// `value` or `gradient`.
+    /// `value` or `gradient` of a term, `square` of a weight.
     pub what: &'static str,
-    /// Name of the term.
+    /// Name of the term or of the weight.
     pub term: String,
     /// First sample of the batch where it can be seen.
     pub sample: Option<usize>,

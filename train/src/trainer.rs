@@ -53,7 +53,7 @@ impl Trainer {
     /// `observed` is the flow that [`ObservedFlow`] holds for this batch; it is found here when it is not given and needed.
     ///
     /// # Errors
-    /// When a loss term or a gradient is not finite; nothing has changed then.
+    /// When a loss term, a gradient or an updated weight is not finite; nothing has changed then.
     pub fn step(
         &mut self,
         batch: &Batch,
@@ -89,16 +89,21 @@ impl Trainer {
                 return Err(Failure { what: "gradient", term, sample: None }.at(step, batch));
             }
         }
-        let optimiser = self.adamw();
-        let sets = [&mut self.weights.depth, &mut self.weights.pose, &mut self.weights.flow];
+        let adamw = self.adamw();
+        let (mut weights, mut optimiser) = (self.weights.clone(), self.optimiser.clone());
+        let sets = [&mut weights.depth, &mut weights.pose, &mut weights.flow];
         let gradients = [depth_gradients, pose_gradients, flow_step.unwrap_or_default()];
         for (k, ((set, gradients), name)) in sets.into_iter().zip(gradients).zip(["depth", "pose", "flow"]).enumerate() {
             let scale = clip_scale(norms[k].unwrap_or(0.0), clip);
             let rate = rate * [1.0, self.config.train.pose_rate, self.config.loss.flow.rate][k];
-            update(&optimiser, &mut self.optimiser, set, name, gradients, rate, scale);
+            update(&adamw, &mut optimiser, set, name, gradients, rate, scale);
         }
-        self.weights.depth.apply_statistics(&statistics[0]);
-        self.weights.pose.apply_statistics(&statistics[1]);
+        weights.depth.apply_statistics(&statistics[0]);
+        weights.pose.apply_statistics(&statistics[1]);
+        match without_finite_square(&weights) {
+            Some(failure) => return Err(failure.at(step, batch)),
+            None => (self.weights, self.optimiser) = (weights, optimiser),
+        }
         Ok(StepReport { total, terms, network_gradients: norms })
     }
 
@@ -235,6 +240,16 @@ fn update(
     }
 }
 
+/// The first weight or running statistic whose square is not finite: nothing can be computed with it.
+fn without_finite_square(weights: &Weights) -> Option<Failure> {
+    let sets = [("depth", &weights.depth), ("pose", &weights.pose), ("flow", &weights.flow)];
+    sets.into_iter().find_map(|(network, set)| {
+        let bad = |tensor: &Tensor<f32>| tensor.data().iter().any(|value| !(value * value).is_finite());
+        let (path, _) = set.iter().find(|(_, entry)| bad(entry.tensor()))?;
+        Some(Failure { what: "square", term: format!("the updated weight {network}/{path}"), sample: None })
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use dimode_geometry::Se3;
@@ -242,6 +257,7 @@ mod tests {
     use super::*;
     use crate::config::NetsConfig;
     use crate::data::Dataset;
+    use crate::run::trained::weight_tensors;
     use crate::run::training_frames;
 
     struct Setting {
@@ -278,6 +294,24 @@ mod tests {
         for (k, said) in looks.iter().enumerate() {
             let with_test = |nets: &mut NetsConfig| (nets.pose_iterations, nets.pose_test_iterations) = (k + 1, 5);
             assert_eq!(&setting.motions(with_test), said);
+        }
+    }
+
+    /// 1e25 is finite itself, 1e39 is not in f32.
+    #[test]
+    fn a_step_to_weights_beyond_use_changes_nothing() {
+        let setting = Setting::new();
+        let batch = Batch::load(setting.frames.as_ref(), &[(0, 1)], &setting.config.train, 1, 0).unwrap();
+        let weights = Model::new(&setting.config.nets).init(3);
+        let mut trainer = Trainer::new(&setting.config, weights.clone(), State::default());
+        for rate in [1e25, 1e39] {
+            let error = trainer.step(&batch, None, &setting.config.train.stages[0], 0, rate, false).unwrap_err();
+            let told = error.to_string();
+            assert!(told.starts_with("step 1: the square of the updated weight depth/"), "{told}");
+            assert_eq!(trainer.optimiser, State::default());
+            for (now, before) in weight_tensors(&trainer.weights).iter().zip(weight_tensors(&weights)) {
+                assert_eq!(now.2.data(), before.2.data(), "{}", now.0);
+            }
         }
     }
 }

@@ -88,10 +88,9 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
         let report = match report {
             Ok(report) => report,
             Err(error) => {
-                // Weights and optimiser are those of the step before.
+                // The weights of now lead here again; those of the last checkpoint may not.
                 log.sync()?;
-                save(&trainer, step).write(&folder.checkpoint())?;
-                return Err(error.into());
+                return Err(error).with_context(|| folder.path().display().to_string());
             }
         };
         prepared = upcoming?;

@@ -6,7 +6,7 @@ use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 use dimode::checkpoint::{Checkpoint, hash};
-use dimode::data::read_depth_png;
+use dimode::data::{Map, read_depth_png, write_depth_png};
 use dimode::run::{TrainedModel, open_frames};
 use dimode_autodiff::Tensor;
 use dimode_geometry::Trajectory;
@@ -314,14 +314,45 @@ fn the_pose_rate_is_the_pose_networks_alone() {
     }
 }
 
+/// Rates that end in weights which are not finite, at once (also at the last step), or in weights of which the next step
+/// cannot make anything.
 #[test]
-fn values_that_are_not_finite_stop_the_run_and_keep_the_checkpoint() {
+fn values_that_are_not_finite_stop_the_run_and_keep_the_last_good_checkpoint() {
     let place = Place::new();
-    let wild = ["--steps", "9", "--learning-rate", "1e30", "--set", "train.warmup=0"];
-    place.train("run", &wild).refused_after_notes(1, &["step ", "not finite", "sample", "fix: "]);
-    let step = step_of(&place.checkpoint("run"));
-    assert!(step >= 1 && step == child_log(&place, "run") as u64, "the steps that were taken are saved: {step}");
-    assert!(!place.path("run/metrics.json").exists());
+    for (name, steps, rate) in [("endless", "1", "1e38"), ("huge", "9", "1e30"), ("wild", "9", "1e15")] {
+        let wild = ["--steps", steps, "--learning-rate", rate, "--set", "train.warmup=0"];
+        place.train(name, &wild).refused_after_notes(1, &[name, "step ", "not finite", "sample", "fix: ", "--resume", "--force"]);
+        let Checkpoint { tensors, state } = Checkpoint::read(&place.checkpoint(name)).unwrap();
+        assert_eq!(state["step"], 0, "{name}");
+        for (tensor, _, values) in &tensors {
+            assert!(values.data().iter().all(|value| value.abs() < 1e6), "{name}: {tensor}");
+        }
+        assert!(!place.path(name).join("metrics.json").exists());
+    }
+    // As the error says: a lower rate, then on.
+    let config = place.path("endless/config.toml");
+    let text_there = fs::read_to_string(&config).unwrap();
+    let line = text_there.lines().find(|line| line.starts_with("learning_rate")).unwrap();
+    fs::write(&config, text_there.replace(line, "learning_rate = 0.001")).unwrap();
+    dimode(&["train", "--resume", text(&place.path("endless")), "--json"]).succeeded();
+    assert_eq!(step_of(&place.checkpoint("endless")), 1);
+}
+
+/// A folder in KITTI layout whose depth pictures know no pixel.
+#[test]
+fn depth_that_cannot_be_scored_is_told_in_a_finished_run() {
+    let place = Place::new();
+    let (worlds, run) = (place.path("worlds"), place.path("run"));
+    dimode(&["synth", "--worlds", "1", "--frames", "4", "--size", "64x64", "--out", text(&worlds)]).succeeded();
+    for picture in fs::read_dir(worlds.join("depth/00")).unwrap() {
+        write_depth_png(&picture.unwrap().path(), &Map::zeros(64, 64)).unwrap();
+    }
+    let metrics = place.train("run", &["--steps", "1", "--data", text(&worlds)]).succeeded();
+    let metrics: serde_json::Value = serde_json::from_str(&metrics).unwrap();
+    assert!(metrics["depth"].is_null() && metrics["motion"].is_object());
+    assert!(metrics["notes"][0].as_str().unwrap().contains("depth is not scored: none of the 4 images"), "{}", metrics["notes"]);
+    let report = fs::read_to_string(run.join("report.html")).unwrap();
+    assert!(report.contains("depth is not scored"));
 }
 
 impl Ran {
