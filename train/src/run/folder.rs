@@ -24,8 +24,14 @@ pub enum RunError {
         /// The folder.
         path: PathBuf,
     },
+    /// A configuration is there that the new run would replace, and no run that used it.
+    #[error("{}: a config.toml with other settings is already there; name another folder with --out, or add --force to replace it", path.display())]
+    OtherSettings {
+        /// The folder.
+        path: PathBuf,
+    },
     /// Something else is there.
-    #[error("{}: not empty, and not the folder of a run; name another folder with --out", path.display())]
+    #[error("{}: not empty, and not the folder of a run (no config.toml that 'dimode train' wrote); name another folder with --out", path.display())]
     NotARun {
         /// The folder.
         path: PathBuf,
@@ -46,8 +52,10 @@ pub struct RunFolder {
     path: PathBuf,
 }
 
-/// Begins the line of `config.toml` that holds the command.
-const COMMAND: &str = "# ";
+/// The program, as a command names it.
+const PROGRAM: &str = "dimode ";
+/// Begins the first line of `config.toml`, which holds the command and tells the folder of a run.
+const MARK: &str = "# dimode ";
 const CONFIG: &str = "config.toml";
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const LOG: &str = "log.jsonl";
@@ -67,13 +75,12 @@ impl RunFolder {
     /// system refuses.
     pub fn create(path: impl Into<PathBuf>, config: &Config, command: &str, force: bool) -> anyhow::Result<Self> {
         let run = Self::new(path);
-        run.check_free(force)?;
+        let text = format!("{MARK}{}\n\n{}", command.strip_prefix(PROGRAM).unwrap_or(command), config.to_toml());
+        run.check_free(&text, force)?;
         fs::create_dir_all(&run.path).map_err(|error| DataError::write(&run.path, error))?;
-        if force {
-            run.clear()?;
-        }
-        let text = format!("{COMMAND}{command}\n\n{}", config.to_toml());
-        write_atomic(&run.config(), text.as_bytes())?;
+        let cleared = if force { run.clear() } else { Ok(()) };
+        let written = cleared.and_then(|()| write_atomic(&run.config(), text.as_bytes()));
+        written.inspect_err(|_| run.give_up())?;
         Ok(run)
     }
 
@@ -90,26 +97,21 @@ impl RunFolder {
         Ok(run)
     }
 
-    fn check_free(&self, force: bool) -> Result<(), RunError> {
+    /// Whether a run with this `config.toml` may begin here.
+    fn check_free(&self, text: &str, force: bool) -> Result<(), RunError> {
         let path = self.path.clone();
-        if !self.is_free_or_a_run() {
-            return Err(RunError::NotARun { path });
+        if fs::read_dir(&path).map_or(true, |mut entries| entries.next().is_none()) {
+            return Ok(());
         }
-        match force {
-            true => Ok(()),
-            false if self.is_finished() => Err(RunError::Finished { path }),
-            false if self.checkpoint().exists() => Err(RunError::Unfinished { path }),
-            false => Ok(()),
+        let there = fs::read_to_string(self.config()).ok().filter(|there| there.starts_with(MARK));
+        match there {
+            None => Err(RunError::NotARun { path }),
+            Some(_) if force => Ok(()),
+            Some(_) if self.is_finished() => Err(RunError::Finished { path }),
+            Some(_) if self.checkpoint().exists() => Err(RunError::Unfinished { path }),
+            Some(there) if !there.lines().skip(1).eq(text.lines().skip(1)) => Err(RunError::OtherSettings { path }),
+            Some(_) => Ok(()),
         }
-    }
-
-    /// Whether nothing is there, or the configuration that every run begins with.
-    fn is_free_or_a_run(&self) -> bool {
-        let is_empty = fs::read_dir(&self.path).map_or(true, |mut entries| entries.next().is_none());
-        let of_a_run = |text: String| {
-            toml::from_str(&text).is_ok_and(|table: toml::Table| ["nets", "train"].iter().all(|key| table.contains_key(*key)))
-        };
-        is_empty || fs::read_to_string(self.config()).is_ok_and(of_a_run)
     }
 
     /// Takes back a run that could not begin.
@@ -121,27 +123,23 @@ impl RunFolder {
 
     /// Removes what a run writes; what else is there stays.
     fn clear(&self) -> Result<(), DataError> {
-        for name in [METRICS, REPORT, CHECKPOINT, LOG, CONFIG] {
-            let file = self.path.join(name);
-            match fs::remove_file(&file) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(DataError::write(&file, error)),
-                _ => {}
+        let removed = |name: &str, remove: fn(&Path) -> io::Result<()>| {
+            let place = self.path.join(name);
+            match remove(&place) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => Err(DataError::write(&place, error)),
+                _ => Ok(()),
             }
-        }
-        for name in ["trajectories", "depth"] {
-            let folder = self.path.join(name);
-            match fs::remove_dir_all(&folder) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(DataError::write(&folder, error)),
-                _ => {}
-            }
-        }
-        Ok(())
+        };
+        // All of them, even when one resists.
+        let files = [METRICS, REPORT, CHECKPOINT, LOG, CONFIG].map(|name| removed(name, |file| fs::remove_file(file)));
+        let folders = ["trajectories", "depth"].map(|name| removed(name, |folder| fs::remove_dir_all(folder)));
+        files.into_iter().chain(folders).collect()
     }
 
     /// The command that asked for the run, as `config.toml` tells it.
     pub fn command(&self) -> Option<String> {
         let text = fs::read_to_string(self.config()).ok()?;
-        Some(text.lines().next()?.strip_prefix(COMMAND)?.to_owned())
+        Some(format!("{PROGRAM}{}", text.lines().next()?.strip_prefix(MARK)?))
     }
 
     /// Reads and checks `config.toml`.
@@ -221,7 +219,8 @@ mod tests {
         let foreign = place.path().join("depth/mine.txt");
         fs::create_dir(place.path().join("depth")).unwrap();
         fs::write(&foreign, "x").unwrap();
-        for config in [None, Some("name = \"of another program\"")] {
+        let printed = Config::quick().to_toml();
+        for config in [None, Some("name = \"of another program\""), Some(&printed)] {
             if let Some(text) = config {
                 fs::write(place.path().join("config.toml"), text).unwrap();
             }
@@ -231,6 +230,21 @@ mod tests {
             }
         }
         assert!(foreign.exists());
+        assert_eq!(fs::read_to_string(place.path().join("config.toml")).unwrap(), printed);
+    }
+
+    #[test]
+    fn an_edited_configuration_of_a_run_is_not_overwritten() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("run");
+        let create = |force| RunFolder::create(&path, &Config::quick(), "dimode train --quick", force);
+        let run = create(false).unwrap();
+        let edited = format!("{}# mine\n", fs::read_to_string(run.config()).unwrap());
+        fs::write(run.config(), &edited).unwrap();
+        let message = create(false).unwrap_err().to_string();
+        assert!(message.contains("other settings"), "{message}");
+        assert_eq!(fs::read_to_string(run.config()).unwrap(), edited);
+        create(true).unwrap();
     }
 
     #[test]

@@ -135,11 +135,40 @@ fn runs_that_are_already_there() {
     fs::create_dir_all(&place.out).unwrap();
     fs::write(place.out.join("checkpoint.safetensors"), "x").unwrap();
     place.train().refused(2, &["not empty, and not the folder of a run", "--out"]);
-    fs::write(place.out.join("config.toml"), dimode(&["train", "--print-config"]).succeeded()).unwrap();
+    let settings = dimode(&["train", "--print-config"]).succeeded();
+    fs::write(place.out.join("config.toml"), format!("# dimode train\n{settings}")).unwrap();
     place.train().refused(2, &["unfinished run", "--resume", "--force"]);
     fs::write(place.out.join("metrics.json"), "{}").unwrap();
     place.train().refused(2, &["finished run", "--force"]);
     assert_eq!(fs::read(place.out.join("checkpoint.safetensors")).unwrap(), b"x");
+}
+
+#[test]
+fn a_configuration_of_ones_own_is_not_overwritten() {
+    let place = place(3);
+    fs::create_dir_all(&place.out).unwrap();
+    let file = place.out.join("config.toml");
+    let own = format!("# mine\n{}", dimode(&["train", "--print-config"]).succeeded());
+    fs::write(&file, &own).unwrap();
+    for more in [&[][..], &["--force"]] {
+        let args = ["train", "--config", text(&file), "--out", text(&place.out)];
+        dimode(&[&args[..], more].concat()).refused(2, &["not the folder of a run", "name another folder"]);
+    }
+    assert_eq!(fs::read_to_string(&file).unwrap(), own);
+}
+
+#[test]
+fn settings_that_the_renderer_refuses() {
+    let place = place(3);
+    for (setting, message) in [
+        ("data.frames=6000", "data.frames = 6000: must be 3 to 5000"),
+        ("eval.frames=6000", "eval.frames = 6000: must be 3 to 5000"),
+        ("eval.max_depth=0.1001", "eval.min_depth = 0.1: the worlds show nothing"),
+    ] {
+        let args = ["train", "--quick", "--out", text(&place.out), "--force", "--set", setting];
+        dimode(&args).refused(2, &[message]);
+        assert!(!place.out.exists(), "nothing is left behind");
+    }
 }
 
 #[test]

@@ -222,7 +222,8 @@ fn a_full_disk_leaves_no_half_checkpoint() {
     let place = Place::new();
     let run = place.path("run");
     fs::create_dir(&run).unwrap();
-    fs::write(run.join("config.toml"), dimode(&["train", "--print-config"]).succeeded()).unwrap();
+    let settings = place.train("run", &["--steps", "1", "--print-config"]).succeeded();
+    fs::write(run.join("config.toml"), format!("# dimode train\n\n{settings}")).unwrap();
     std::os::unix::fs::symlink("/dev/full", run.join(".checkpoint.safetensors.dimode.tmp")).unwrap();
     place.train("run", &["--steps", "1"]).refused_after_notes(1, &["checkpoint.safetensors", "free some space"]);
     for file in ["checkpoint.safetensors", "config.toml", "log.jsonl"] {
