@@ -3,14 +3,13 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use dimode_geometry::losses::LossOptions;
 
-use super::failure::{Exit, UsageError};
+use super::failure::Exit;
 use super::options::{LossForms, Size, Stages, preset};
 use super::{interrupt, output, summary};
 use crate::config::{Config, FirstWeights, Preset, StageConfig};
 use crate::progress::{Bar, Progress};
-use crate::run::{self, RunFolder, TrainOutcome, TrainRequest};
+use crate::run::{self, RunFolder, Start, TrainOutcome, TrainRequest};
 
 const LONG_ABOUT: &str = "\
 Train the networks, evaluate them, write a report.
@@ -114,22 +113,11 @@ pub struct TrainArgs {
 impl TrainArgs {
     /// Trains, or prints the settings.
     pub fn run(self, typed: &str) -> anyhow::Result<Exit> {
-        let config = self.settings()?;
+        let request = self.request(typed)?;
         if self.print_config {
-            output::text(&config.to_toml())?;
+            output::text(&request.config.to_toml())?;
             return Ok(Exit::Done);
         }
-        run::check_data(&config)?;
-        let resume = self.resume.is_some();
-        let folder = match self.resume {
-            Some(folder) => RunFolder::new(folder),
-            None => {
-                run::first_weights::check_first_weights(&config.nets)?;
-                RunFolder::create(self.out.unwrap_or_else(|| default_out(&config)), &config, typed, self.force)?
-            }
-        };
-        let command = folder.command().unwrap_or_else(|| typed.to_owned());
-        let request = TrainRequest { config, out: folder.path().to_owned(), resume, command };
         let stop = interrupt::stop_flag("finishing this step, then saving")?;
         let bar = Bar::new();
         let outcome = run::train::train(&request, &bar, &stop);
@@ -137,11 +125,18 @@ impl TrainArgs {
         report(&request, &outcome?, self.json)
     }
 
-    /// Settings of the run to go on with, or defaults, file and flags.
-    fn settings(&self) -> anyhow::Result<Config> {
-        if let Some(folder) = &self.resume {
-            return Ok(RunFolder::open(folder)?.read_config()?);
+    fn request(&self, typed: &str) -> anyhow::Result<TrainRequest> {
+        if let Some(run) = &self.resume {
+            return TrainRequest::resume(run);
         }
+        let config = self.settings()?;
+        let out = self.out.clone().unwrap_or_else(|| RunFolder::default_path(&config));
+        let start = if self.force { Start::Replace } else { Start::New };
+        Ok(TrainRequest { config, out, start, command: typed.to_owned() })
+    }
+
+    /// Defaults, file and flags.
+    fn settings(&self) -> anyhow::Result<Config> {
         let mut config = match &self.config {
             Some(path) => Config::read(path)?,
             None => Config::default(),
@@ -150,14 +145,7 @@ impl TrainArgs {
         for setting in &self.set {
             config = config.with_setting(setting)?;
         }
-        // Another folder may be the current one when the run is resumed.
-        let absolute = |path: &mut PathBuf| *path = std::path::absolute(&*path).unwrap_or_else(|_| path.clone());
-        config.data.path.as_mut().map(absolute);
-        for weights in [&mut config.nets.flow_weights, &mut config.nets.pose_weights] {
-            if let FirstWeights::File(path) = weights {
-                absolute(path);
-            }
-        }
+        let config = config.with_absolute_paths();
         config.validate()?;
         Ok(config)
     }
@@ -201,29 +189,6 @@ fn replace<V>(place: &mut V, value: Option<V>) {
     }
 }
 
-/// `runs/train-<world or folder>-s<seed>`, with what differs from a plain run.
-fn default_out(config: &Config) -> PathBuf {
-    let data = match &config.data.path {
-        Some(path) => path.file_name().map_or_else(|| "frames".to_owned(), |name| name.to_string_lossy().into_owned()),
-        None => config.data.preset.to_string(),
-    };
-    let mut name = format!("train-{data}-s{}", config.seed);
-    if config.train.steps != Config::default().train.steps {
-        name += &format!("-n{}", config.train.steps);
-    }
-    if let Some(only) = &config.train.only_stages {
-        let numbers: Vec<String> = only.iter().map(usize::to_string).collect();
-        name += &format!("-stages{}", numbers.join(""));
-    }
-    if config.train.stages == StageConfig::paper() {
-        name += "-paper";
-    }
-    if config.loss.geometric == LossOptions::literal() {
-        name += "-literal";
-    }
-    PathBuf::from("runs").join(name)
-}
-
 fn report(request: &TrainRequest, outcome: &TrainOutcome, json: bool) -> anyhow::Result<Exit> {
     match outcome {
         TrainOutcome::Finished { metrics, checkpoint_hash, .. } if json => {
@@ -250,31 +215,10 @@ fn eprintln_quietly(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-impl Config {
-    /// The configuration with one setting changed, written `table.key=value`. Text may stand without quotes.
-    fn with_setting(&self, setting: &str) -> anyhow::Result<Self> {
-        let malformed = || UsageError::new(format!("--set {setting}: not a setting"), "write it as train.warmup=50");
-        let (key, value) = setting.split_once('=').ok_or_else(malformed)?;
-        let plain = toml::from_str::<toml::Table>(&format!("{key} = {value}"));
-        let change = plain.or_else(|_| toml::from_str(&format!("{key} = {}", toml::Value::String(value.to_owned()))));
-        let mut table = toml::Table::try_from(self)?;
-        merge(&mut table, change.map_err(|_| malformed())?);
-        Ok(Config::from_table(table, &format!("--set {setting}"))?)
-    }
-}
-
-fn merge(base: &mut toml::Table, change: toml::Table) {
-    for (key, value) in change {
-        match (base.get_mut(&key), value) {
-            (Some(toml::Value::Table(inner)), toml::Value::Table(more)) => merge(inner, more),
-            (_, value) => drop(base.insert(key, value)),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use clap::Parser;
+    use dimode_geometry::losses::LossOptions;
 
     use super::*;
 
@@ -308,8 +252,6 @@ mod tests {
         let config = settings(&["--set", "loss.geometric.planar=literal", "--set", "train.betas=[0.8, 0.9]"]).unwrap();
         assert_eq!(config.train.betas, [0.8, 0.9]);
         assert_eq!(config.loss.geometric.planar, dimode_geometry::losses::PlanarForm::Literal);
-        let message = settings(&["--set", "train.stpes=3"]).unwrap_err().to_string();
-        assert_eq!(message, "--set train.stpes=3: unknown key 'stpes'; did you mean 'steps'?");
         assert!(settings(&["--set", "steps"]).is_err());
     }
 
@@ -319,7 +261,7 @@ mod tests {
         assert_eq!(config.train.only_stages, Some(vec![1]));
         assert_eq!(config.loss.geometric, LossOptions::literal());
         assert_eq!((config.data.width, config.data.height), (96, 64));
-        assert_eq!(default_out(&config), PathBuf::from("runs/train-street-s1-stages1-literal"));
+        assert_eq!(RunFolder::default_path(&config), PathBuf::from("runs/train-street-s1-stages1-literal"));
         assert!(settings(&["--stages", "4"]).unwrap_err().to_string().contains("train.only_stages"));
     }
 
@@ -330,13 +272,6 @@ mod tests {
         std::fs::write(&file, "[loss.geometric]\nplanar = \"robust\"\nkappa = 0.5\n").unwrap();
         let config = settings(&["--config", file.to_str().unwrap(), "--loss", "default"]).unwrap();
         assert_eq!(config, Config::default());
-    }
-
-    #[test]
-    fn names_of_runs_hold_no_clock() {
-        assert_eq!(default_out(&Config::default()), PathBuf::from("runs/train-street-s1"));
-        let config = settings(&["--data", "some/kitti", "--seed", "4"]).unwrap();
-        assert_eq!(default_out(&config), PathBuf::from("runs/train-kitti-s4"));
     }
 
     #[test]

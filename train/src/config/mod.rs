@@ -12,10 +12,11 @@ mod geometric;
 mod kind;
 mod loss;
 mod nets;
+mod setting;
 mod suggest;
 mod train;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -124,6 +125,18 @@ impl Config {
         let whole = toml::Table::try_from(self).expect("a configuration holds only what TOML can hold");
         let text = toml::to_string_pretty(self).expect("a configuration holds only what TOML can hold");
         examples::add_unset(text, &whole)
+    }
+
+    /// The same settings with absolute paths: a run may go on from another working directory.
+    pub fn with_absolute_paths(mut self) -> Self {
+        let absolute = |path: &mut PathBuf| *path = std::path::absolute(&*path).unwrap_or_else(|_| path.clone());
+        self.data.path.as_mut().map(absolute);
+        for weights in [&mut self.nets.flow_weights, &mut self.nets.pose_weights] {
+            if let FirstWeights::File(path) = weights {
+                absolute(path);
+            }
+        }
+        self
     }
 
     /// Checks every range.

@@ -4,9 +4,10 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use dimode_geometry::losses::LossOptions;
 use thiserror::Error;
 
-use crate::config::{Config, ConfigError};
+use crate::config::{Config, ConfigError, StageConfig};
 use crate::data::{DataError, write_atomic};
 
 /// Why a folder cannot take or give a run.
@@ -82,6 +83,29 @@ impl RunFolder {
         let written = cleared.and_then(|()| write_atomic(&run.config(), text.as_bytes()));
         written.inspect_err(|_| run.give_up())?;
         Ok(run)
+    }
+
+    /// `runs/train-<world or folder>-s<seed>`, with what differs from a plain run: for runs that were not given a folder.
+    pub fn default_path(config: &Config) -> PathBuf {
+        let data = match &config.data.path {
+            Some(path) => path.file_name().map_or_else(|| "frames".to_owned(), |name| name.to_string_lossy().into_owned()),
+            None => config.data.preset.to_string(),
+        };
+        let mut name = format!("train-{data}-s{}", config.seed);
+        if config.train.steps != Config::default().train.steps {
+            name += &format!("-n{}", config.train.steps);
+        }
+        if let Some(only) = &config.train.only_stages {
+            let numbers: Vec<String> = only.iter().map(usize::to_string).collect();
+            name += &format!("-stages{}", numbers.join(""));
+        }
+        if config.train.stages == StageConfig::paper() {
+            name += "-paper";
+        }
+        if config.loss.geometric == LossOptions::literal() {
+            name += "-literal";
+        }
+        PathBuf::from("runs").join(name)
     }
 
     /// The run at `path`, which must have a configuration and a checkpoint.
@@ -245,6 +269,14 @@ mod tests {
         assert!(message.contains("other settings"), "{message}");
         assert_eq!(fs::read_to_string(run.config()).unwrap(), edited);
         create(true).unwrap();
+    }
+
+    #[test]
+    fn names_of_runs_hold_no_clock() {
+        let mut config = Config::default();
+        assert_eq!(RunFolder::default_path(&config), PathBuf::from("runs/train-street-s1"));
+        (config.seed, config.data.path) = (4, Some("some/kitti".into()));
+        assert_eq!(RunFolder::default_path(&config), PathBuf::from("runs/train-kitti-s4"));
     }
 
     #[test]

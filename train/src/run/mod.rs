@@ -12,7 +12,7 @@ pub mod synth;
 pub mod train;
 pub mod trained;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::config::Config;
 
@@ -32,10 +32,32 @@ pub struct TrainRequest {
     pub config: Config,
     /// Folder of the run; made when missing.
     pub out: PathBuf,
-    /// Continue from the checkpoint in `out`.
-    pub resume: bool,
-    /// The command as typed, for the report.
+    /// What to do with a run that is already there.
+    pub start: Start,
+    /// The command that asks for the run, for `config.toml` and the report.
     pub command: String,
+}
+
+impl TrainRequest {
+    /// Goes on with the run in a folder, with its own settings.
+    ///
+    /// **Errors** [`RunError::NoRun`] and [`crate::config::ConfigError`].
+    pub fn resume(run: &Path) -> anyhow::Result<Self> {
+        let folder = RunFolder::open(run)?;
+        let command = folder.command().unwrap_or_else(|| format!("dimode train --resume {}", run.display()));
+        Ok(Self { config: folder.read_config()?, out: run.to_owned(), start: Start::Resume, command })
+    }
+}
+
+/// How a run begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Start {
+    /// In a folder without a run; a run that is already there is refused.
+    New,
+    /// In place of the run that is there.
+    Replace,
+    /// From the checkpoint of the run that is there, with its settings: see [`TrainRequest::resume`].
+    Resume,
 }
 
 /// How training ended.

@@ -1,5 +1,6 @@
 //! Training from the first step to the report.
 
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -7,9 +8,9 @@ use anyhow::{Context, Result, bail};
 use dimode_autodiff::{Tensor, par};
 use serde_json::{Map, Value, json};
 
-use super::first_weights::load_first_weights;
+use super::first_weights::{check_first_weights, load_first_weights};
 use super::trained::{NamedTensor, restore_weights, weight_tensors};
-use super::{RunFolder, Stopped, TrainOutcome, TrainRequest, TrainedModel, conclude, training_frames};
+use super::{RunFolder, Start, Stopped, TrainOutcome, TrainRequest, TrainedModel, check_data, conclude, training_frames};
 use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, hash};
 use crate::config::{Config, Decay as DecayConfig};
@@ -33,18 +34,17 @@ const PROBE_EVERY: u64 = 25;
 /// Stops after a complete step when `stop` is set, or soon in the evaluation; a checkpoint is written then.
 ///
 /// # Errors
-/// When data cannot be read, files cannot be written, the checkpoint does not fit the configuration, or a loss or gradient is
-/// not finite ([`crate::non_finite::NonFinite`]); a checkpoint of the step before is written then.
+/// When the settings cannot work, the folder cannot be used, data cannot be read, files cannot be written, the checkpoint does
+/// not fit the configuration: before the first step then, if it can be known, and no new run is left behind. When a loss, a
+/// gradient or a weight is not finite ([`crate::non_finite::NonFinite`]): the last checkpoint stays then.
 pub fn train(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<TrainOutcome> {
-    par::inside(|| run(request, progress, stop))
+    let request = TrainRequest { config: request.config.clone().with_absolute_paths(), ..request.clone() };
+    par::inside(|| run(&request, progress, stop))
 }
 
 fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<TrainOutcome> {
     let config = &request.config;
-    let folder = RunFolder::new(&request.out);
-    let dataset = training_frames(config)?;
-    let (mut trainer, mut step) = start(request, &folder)?;
-    let mut log = if request.resume { RunLog::resume(&folder.log(), step)? } else { RunLog::create(&folder.log())? };
+    let Begun { folder, dataset, mut trainer, mut log, mut step } = begin(request)?;
     let lengths: Vec<usize> = (0..dataset.sequence_count()).map(|s| dataset.sequence_len(s)).collect();
     let mut sampler = Sampler::new(lengths, config.seed, config.train.batch);
     let schedule = Schedule::new(&config.train);
@@ -52,10 +52,6 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
     let load = |items: Vec<(usize, usize)>, step| Batch::load(dataset.as_ref(), &items, &config.train, config.seed, step);
     let observed = ObservedFlow::default();
     let mut prepared = None;
-    if !request.resume {
-        // From here on there is a checkpoint to go on from, whatever happens.
-        save(&trainer, step).write(&folder.checkpoint()).inspect_err(|_| folder.give_up())?;
-    }
     progress.start(steps, "training");
     while step < steps {
         let began = Instant::now();
@@ -118,18 +114,47 @@ struct Prepared {
     flow: Option<Tensor<f32>>,
 }
 
-/// Fresh networks, or those of the checkpoint; and the number of steps done.
-fn start(request: &TrainRequest, folder: &RunFolder) -> Result<(Trainer, u64)> {
+/// A run that has a checkpoint.
+struct Begun {
+    folder: RunFolder,
+    dataset: Box<dyn Dataset>,
+    trainer: Trainer,
+    log: RunLog,
+    /// Steps done.
+    step: u64,
+}
+
+/// Checks what can be known before the first step, then goes on from the checkpoint or makes a folder that has one.
+fn begin(request: &TrainRequest) -> Result<Begun> {
     let config = &request.config;
-    let model = Model::new(&config.nets);
-    let mut weights = model.init(config.seed);
-    if !request.resume {
-        load_first_weights(&config.nets, &mut weights)?;
-        return Ok((Trainer::new(config, weights, State::default()), 0));
+    config.validate()?;
+    check_data(config)?;
+    let dataset = training_frames(config)?;
+    if request.start == Start::Resume {
+        let folder = RunFolder::open(&request.out)?;
+        let (trainer, step) = restore(config, &folder.checkpoint())?;
+        let log = RunLog::resume(&folder.log(), step)?;
+        return Ok(Begun { folder, dataset, trainer, log, step });
     }
-    let path = folder.checkpoint();
-    let checkpoint = Checkpoint::read(&path)?;
-    restore_weights(&mut weights, &checkpoint.tensors, &path)?;
+    check_first_weights(&config.nets)?;
+    let mut weights = Model::new(&config.nets).init(config.seed);
+    load_first_weights(&config.nets, &mut weights)?;
+    let trainer = Trainer::new(config, weights, State::default());
+    let folder = RunFolder::create(&request.out, config, &request.command, request.start == Start::Replace)?;
+    let first_files = || -> Result<RunLog> {
+        let log = RunLog::create(&folder.log())?;
+        save(&trainer, 0).write(&folder.checkpoint())?;
+        Ok(log)
+    };
+    let log = first_files().inspect_err(|_| folder.give_up())?;
+    Ok(Begun { folder, dataset, trainer, log, step: 0 })
+}
+
+/// The networks of a checkpoint, and the number of steps done.
+fn restore(config: &Config, path: &Path) -> Result<(Trainer, u64)> {
+    let mut weights = Model::new(&config.nets).init(config.seed);
+    let checkpoint = Checkpoint::read(path)?;
+    restore_weights(&mut weights, &checkpoint.tensors, path)?;
     let step = checkpoint.state["step"].as_u64().with_context(|| format!("{}: no step", path.display()))?;
     if step > config.train.steps {
         bail!("{}: is at step {step}, beyond the {} steps asked for", path.display(), config.train.steps);

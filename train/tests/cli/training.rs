@@ -96,6 +96,12 @@ fn a_run_leaves_report_metrics_log_and_can_be_used() {
     }
     assert_eq!(fs::read_to_string(run.join("log.jsonl")).unwrap().lines().count(), 2);
     place.train("run", &["--steps", "2"]).refused(2, &["finished run is already there"]);
+    let files = || ["config.toml", "metrics.json", "log.jsonl"].map(|file| fs::read(run.join(file)).unwrap());
+    let before = (files(), hash(&place.checkpoint("run")).unwrap());
+    for setting in ["data.frames=6000", "eval.frames=6000", "nets.pose_weights=none"] {
+        assert_ne!(place.train("run", &["--force", "--set", setting]).code, 0, "{setting}");
+        assert!((files(), hash(&place.checkpoint("run")).unwrap()) == before, "{setting}: the finished run stays");
+    }
 
     let scores = dimode(&["eval", "depth", "--run", text(&run), "--json"]).succeeded();
     let scores: serde_json::Value = serde_json::from_str(&scores).unwrap();
