@@ -54,7 +54,7 @@ fn places_that_cannot_take_the_weights_are_refused_before_the_training() {
     pretrain("flow", &folder, &wild).refused(2, &["frames: a folder", "fix: name a file"]);
     pretrain("flow", &place.path().join("new/sub/"), &wild).refused(2, &["new/sub/: a folder", "fix: name a file"]);
     pretrain("pose", &folder, &wild).refused(2, &["frames: not empty, and not made by this command", "fix: name another folder"]);
-    pretrain("pose", &file, &wild).refused(2, &["file: is a file", "fix: name a folder"]);
+    pretrain("pose", &file, &wild).refused(1, &["file: cannot be written", "fix: a file is in the way"]);
     for network in ["flow", "pose"] {
         pretrain(network, &file.join("weights"), &wild).refused(1, &["file/weights: cannot be written", "fix: "]);
     }
