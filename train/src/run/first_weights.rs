@@ -23,7 +23,7 @@ pub struct FirstWeightsError {
     /// The setting that names them.
     pub setting: &'static str,
     /// What is wrong with which file.
-    pub source: WeightError,
+    pub source: Box<WeightError>,
     /// What to write instead.
     pub advice: &'static str,
 }
@@ -55,12 +55,12 @@ pub fn check_first_weights(nets: &NetsConfig) -> Result<()> {
 pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<(), FirstWeightsError> {
     load_flow_weights(&nets.flow_weights, &mut fresh.flow).map_err(|source| FirstWeightsError {
         setting: "nets.flow_weights",
-        source,
+        source: Box::new(source),
         advice: "name a file that 'dimode pretrain flow' wrote for this size of network, or leave nets.flow_weights out",
     })?;
     load_pose_weights(&nets.pose_weights, &mut fresh.pose).map_err(|source| FirstWeightsError {
         setting: "nets.pose_weights",
-        source,
+        source: Box::new(source),
         advice: "name a folder that 'dimode pretrain pose' wrote for this size of network, or leave nets.pose_weights out",
     })
 }
