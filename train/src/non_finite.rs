@@ -1,4 +1,4 @@
-//! What to say when a loss, a gradient or a weight is not finite: which term, which step, which sample.
+//! What to say when a loss, a gradient, a weight or a prediction is not finite: which term, which step, which sample.
 
 use crate::batch::Batch;
 
@@ -13,7 +13,7 @@ pub struct NonFinite {
     pub step: u64,
     /// `value` or `gradient` of a term, `square` of a weight.
     pub what: &'static str,
-    /// Name of the loss term or of the weight.
+    /// Name of the loss term, the weight or the prediction.
     pub term: String,
     /// Name of the first sample where it can be seen; all samples of the batch when it cannot be told; none where samples have no
     /// names.

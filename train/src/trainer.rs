@@ -7,6 +7,7 @@
 use std::sync::Arc;
 
 use dimode_autodiff::{Pool, Tape, Tensor, par};
+use dimode_geometry::Se3;
 use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, StatisticsUpdate};
 
 use crate::batch::{Batch, join};
@@ -105,6 +106,24 @@ impl Trainer {
             None => (self.weights, self.optimiser) = (weights, optimiser),
         }
         Ok(StepReport { total, terms, network_gradients: norms })
+    }
+
+    /// Looks whether the weights can be used outside training: what they say about the batch of `step`, as an evaluation would
+    /// ask them, is finite.
+    ///
+    /// # Errors
+    /// When a depth or a motion is not.
+    pub fn check_predictions(&self, batch: &Batch, step: u64) -> Result<(), NonFinite> {
+        let (target, source) = (&batch.plain.target, &batch.plain.next);
+        let fail = |term: &str| Err(Failure { what: "value", term: term.to_owned(), sample: None }.at(step, batch));
+        let depth = self.model.predict_depth(&self.weights, target);
+        if !depth.data().iter().all(|z| z.is_finite()) {
+            return fail("the predicted depth");
+        }
+        let pairs = Pairs { target, source, earlier: 0, depth: Some(&depth), cameras: &batch.intrinsics };
+        let motions = self.model.motions(&self.weights.pose, Mode::Eval, &pairs, self.config.nets.pose_test_iterations);
+        let is_finite = |m: &Se3| m.rotation.iter().chain(&m.translation).all(|x| x.is_finite());
+        if motions.iter().all(is_finite) { Ok(()) } else { fail("the predicted motion") }
     }
 
     /// Buffers that steps share.
@@ -252,8 +271,6 @@ fn without_finite_square(weights: &Weights) -> Option<Failure> {
 
 #[cfg(test)]
 mod tests {
-    use dimode_geometry::Se3;
-
     use super::*;
     use crate::config::NetsConfig;
     use crate::data::Dataset;

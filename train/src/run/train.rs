@@ -36,7 +36,7 @@ const PROBE_EVERY: u64 = 25;
 /// # Errors
 /// When the settings cannot work, the folder cannot be used, data cannot be read, files cannot be written, the checkpoint does
 /// not fit the configuration: before the first step then, if it can be known, and no new run is left behind. When a loss, a
-/// gradient or a weight is not finite ([`crate::non_finite::NonFinite`]): the last checkpoint stays then.
+/// gradient, a weight or a prediction is not finite ([`crate::non_finite::NonFinite`]): the last checkpoint stays then.
 pub fn train(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<TrainOutcome> {
     let request = TrainRequest { config: request.config.clone().with_absolute_paths(), ..request.clone() };
     par::inside(|| run(&request, progress, stop))
@@ -81,14 +81,9 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
                 Ok(Some(Prepared { batch, flow }))
             },
         );
-        let report = match report {
-            Ok(report) => report,
-            Err(error) => {
-                // The weights of now lead here again; those of the last checkpoint may not.
-                log.sync()?;
-                return Err(error).with_context(|| folder.path().display().to_string());
-            }
-        };
+        // After an error the weights of now lead here again; those of the last checkpoint, which stays, may not.
+        let place = || folder.path().display().to_string();
+        let report = report.with_context(place)?;
         prepared = upcoming?;
         step += 1;
         log.append(&record(step, &stage.name, &report, rate, began.elapsed().as_secs_f64()))?;
@@ -96,6 +91,7 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
         let stopping = stop.load(Ordering::Relaxed);
         if stopping || step == steps || step.is_multiple_of(config.train.checkpoint_every) {
             log.sync()?;
+            trainer.check_predictions(&batch, step - 1).with_context(place)?;
             save(&trainer, step).write(&folder.checkpoint())?;
         }
         if stopping && step < steps {
