@@ -4,7 +4,9 @@
 //! `v` in [-1, 1) comes from the FNV-1a hash of the name and splitmix64; the role of the tensor,
 //! read from the last part of its name, decides scale and offset. Values are rounded once to f32.
 
-use crate::hash::{fnv1a64, splitmix64};
+use dimode_autodiff::rng::splitmix64;
+
+use crate::hash::fnv1a64;
 
 /// The raw number in [-1, 1) for element `index` of the tensor called `name`.
 pub fn unit(name: &str, index: usize) -> f64 {

@@ -1,9 +1,10 @@
 //! Start values of parameters, from an explicit seed.
 
+use dimode_autodiff::rng::splitmix64;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::hash::{fnv1a64, splitmix64};
+use crate::hash::fnv1a64;
 
 /// Distribution of the start values of one tensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
