@@ -6,7 +6,7 @@ use thiserror::Error;
 
 use crate::config::{FirstWeights, NetsConfig};
 use crate::data::DataError;
-use crate::model::{Model, Weights};
+use crate::model::Weights;
 
 /// Weights of `nano_raft_d4` after `dimode pretrain flow`; `assets/README.md` tells command, seed and error.
 const FLOW: &[u8] = include_bytes!("../../assets/flow_nano_raft_d4.safetensors");
@@ -28,31 +28,30 @@ pub struct FirstWeightsError {
     pub advice: &'static str,
 }
 
-/// Finds out before anything is written whether the weights that the configuration names can be used.
-///
-/// # Errors
-/// As [`load_first_weights`]; [`DataError::Missing`] when nothing is where the configuration points.
-pub fn check_first_weights(nets: &NetsConfig) -> Result<()> {
+/// **Errors** [`DataError::Missing`] when nothing is where the configuration points.
+fn check_present(nets: &NetsConfig) -> Result<(), DataError> {
     if let FirstWeights::File(path) = &nets.flow_weights
         && !path.is_file()
     {
         let advice = "check nets.flow_weights: embedded, random or a file that 'dimode pretrain flow' wrote".to_owned();
-        return Err(DataError::Missing { path: path.clone(), what: "flow weights".to_owned(), advice }.into());
+        return Err(DataError::Missing { path: path.clone(), what: "flow weights".to_owned(), advice });
     }
     if let FirstWeights::File(path) = &nets.pose_weights
         && !path.is_dir()
     {
         let advice = "check nets.pose_weights: embedded, random or a folder that 'dimode pretrain pose' wrote".to_owned();
-        return Err(DataError::Missing { path: path.clone(), what: "pose weights".to_owned(), advice }.into());
+        return Err(DataError::Missing { path: path.clone(), what: "pose weights".to_owned(), advice });
     }
-    Ok(load_first_weights(nets, &mut Model::new(nets).init(0))?)
+    Ok(())
 }
 
 /// Replaces fresh weights of the flow and the pose network by those that the configuration names.
 ///
 /// # Errors
-/// When no weights are embedded for this size, or a file cannot be read or does not fit.
-pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<(), FirstWeightsError> {
+/// [`DataError::Missing`] when nothing is where the configuration points; [`FirstWeightsError`] when no weights are embedded for
+/// this size, or a file cannot be read or does not fit.
+pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<()> {
+    check_present(nets)?;
     load_flow_weights(&nets.flow_weights, &mut fresh.flow).map_err(|source| FirstWeightsError {
         setting: "nets.flow_weights",
         source: Box::new(source),
@@ -62,7 +61,8 @@ pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<(), 
         setting: "nets.pose_weights",
         source: Box::new(source),
         advice: "name a folder that 'dimode pretrain pose' wrote for this size of network, or leave nets.pose_weights out",
-    })
+    })?;
+    Ok(())
 }
 
 fn load_flow_weights(from: &FirstWeights, set: &mut ParamSet<f32>) -> Result<(), WeightError> {
@@ -94,6 +94,8 @@ mod tests {
     use super::*;
     use dimode_nets::PoseNetKind;
 
+    use crate::model::Model;
+
     #[test]
     fn weights_of_another_network_are_told_in_a_line_that_names_the_place_once() {
         let place = tempfile::tempdir().unwrap();
@@ -101,7 +103,7 @@ mod tests {
         weights::save_directory(place.path(), &Model::new(&small).init(0).pose).unwrap();
         let pose_weights = FirstWeights::File(place.path().to_owned());
         let nets = NetsConfig { pose: PoseNetKind::Resnet18, pose_weights, ..small };
-        let message = check_first_weights(&nets).unwrap_err().to_string();
+        let message = load_first_weights(&nets, &mut Model::new(&nets).init(0)).unwrap_err().to_string();
         assert!(message.starts_with("nets.pose_weights: "), "{message}");
         assert!(message.ends_with("or leave nets.pose_weights out"), "{message}");
         assert!(message.contains("pose_encoder.safetensors does not fit the network"), "{message}");

@@ -104,21 +104,20 @@ fn worlds(config: &Config, split: Split, sequences: usize, frames: usize) -> Res
     })
 }
 
-/// Finds out before anything is written whether the inputs of a run can be used: the folder is opened, and the frames of a
-/// small one are decoded; worlds can be rendered, and show depth that is scored.
+/// [`training_frames`], when it is known that a run can use them: the frames of a small folder can be decoded; worlds can be
+/// rendered, and show depth that is scored.
 ///
 /// **Errors** [`DataError`] for the first thing that cannot be used.
-pub fn check_data(config: &Config) -> Result<(), DataError> {
+pub fn checked_frames(config: &Config) -> Result<Box<dyn Dataset>, DataError> {
     let dataset = training_frames(config)?;
     if config.data.path.is_none() {
-        return check_scored_depth(config);
-    }
-    if frame_count(dataset.as_ref()) <= CHECKED_FRAMES {
+        check_scored_depth(config)?;
+    } else if frame_count(dataset.as_ref()) <= CHECKED_FRAMES {
         for (sequence, frame) in all_frames(dataset.as_ref()) {
             dataset.frame(sequence, frame)?;
         }
     }
-    Ok(())
+    Ok(dataset)
 }
 
 /// Renders held-out frames up to the first that shows depth within the bounds of the evaluation.
@@ -181,9 +180,9 @@ mod tests {
     fn bounds_that_nothing_rendered_meets_are_refused() {
         let mut config = Config::quick();
         (config.data.width, config.data.height) = (64, 64);
-        check_data(&config).unwrap();
+        checked_frames(&config).unwrap();
         (config.eval.min_depth, config.eval.max_depth) = (50_000.0, 60_000.0);
-        let message = check_data(&config).unwrap_err().to_string();
+        let message = checked_frames(&config).err().unwrap().to_string();
         assert!(message.starts_with("eval.min_depth = 50000: the worlds show nothing"), "{message}");
     }
 
@@ -192,7 +191,7 @@ mod tests {
         for change in [|c: &mut Config| c.data.frames = 6000, |c: &mut Config| c.eval.frames = 6000] {
             let mut config = Config::quick();
             change(&mut config);
-            let message = check_data(&config).unwrap_err().to_string();
+            let message = checked_frames(&config).err().unwrap().to_string();
             assert!(message.starts_with("frames = 6000"), "{message}");
         }
     }

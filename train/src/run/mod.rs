@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use crate::config::Config;
 
 pub use folder::{RunError, RunFolder};
-pub use frames::{check_data, held_out_worlds, load_options, open_frames, training_frames};
+pub use frames::{checked_frames, held_out_worlds, load_options, open_frames, training_frames};
 pub use trained::TrainedModel;
 
 /// The work was stopped on request.

@@ -8,9 +8,9 @@ use anyhow::{Context, Result, bail};
 use dimode_autodiff::{Tensor, par};
 use serde_json::{Map, Value, json};
 
-use super::first_weights::{check_first_weights, load_first_weights};
+use super::first_weights::load_first_weights;
 use super::trained::{NamedTensor, restore_weights, weight_tensors};
-use super::{RunFolder, Start, Stopped, TrainOutcome, TrainRequest, TrainedModel, check_data, conclude, training_frames};
+use super::{RunFolder, Start, Stopped, TrainOutcome, TrainRequest, TrainedModel, checked_frames, conclude};
 use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, hash};
 use crate::config::{Config, Decay as DecayConfig};
@@ -124,15 +124,13 @@ struct Begun {
 fn begin(request: &TrainRequest) -> Result<Begun> {
     let config = &request.config;
     config.validate()?;
-    check_data(config)?;
-    let dataset = training_frames(config)?;
+    let dataset = checked_frames(config)?;
     if request.start == Start::Resume {
         let folder = RunFolder::open(&request.out)?;
         let (trainer, step) = restore(config, &folder.checkpoint())?;
         let log = RunLog::resume(&folder.log(), step)?;
         return Ok(Begun { folder, dataset, trainer, log, step });
     }
-    check_first_weights(&config.nets)?;
     let mut weights = Model::new(&config.nets).init(config.seed);
     load_first_weights(&config.nets, &mut weights)?;
     let trainer = Trainer::new(config, weights, State::default());
