@@ -12,6 +12,12 @@ pub const CHUNK: usize = 16_384;
 
 /// Runs `f(index, chunk)` on consecutive chunks of `out`; the last one may be shorter.
 pub fn for_each_chunk<T: Send>(out: &mut [T], chunk_len: usize, f: impl Fn(usize, &mut [T]) + Sync + Send) {
+    chunks(out, chunk_len, &f);
+}
+
+/// As [`for_each_chunk`]. Knows the function by a pointer, as do the two below: the thread library is compiled once for a type, not
+/// for each of some hundred loops, which took most of the compiler's time.
+fn chunks<T: Send>(out: &mut [T], chunk_len: usize, f: &(dyn Fn(usize, &mut [T]) + Sync)) {
     if out.len() <= chunk_len {
         if !out.is_empty() {
             f(0, out);
@@ -23,6 +29,10 @@ pub fn for_each_chunk<T: Send>(out: &mut [T], chunk_len: usize, f: impl Fn(usize
 
 /// `[f(0), f(1), .., f(n - 1)]`, computed in parallel, returned in order.
 pub fn map_indices<R: Send>(n: usize, f: impl Fn(usize) -> R + Sync + Send) -> Vec<R> {
+    indices(n, &f)
+}
+
+fn indices<R: Send>(n: usize, f: &(dyn Fn(usize) -> R + Sync)) -> Vec<R> {
     if n <= 1 {
         return (0..n).map(f).collect();
     }
@@ -31,6 +41,10 @@ pub fn map_indices<R: Send>(n: usize, f: impl Fn(usize) -> R + Sync + Send) -> V
 
 /// Runs `f(i, item)` on every item in parallel.
 pub fn for_each_item<T: Send>(items: Vec<T>, f: impl Fn(usize, T) + Sync + Send) {
+    each_item(items, &f);
+}
+
+fn each_item<T: Send>(items: Vec<T>, f: &(dyn Fn(usize, T) + Sync)) {
     if items.len() <= 1 {
         items.into_iter().enumerate().for_each(|(i, item)| f(i, item));
         return;

@@ -126,11 +126,16 @@ impl<T: Scalar> Tape<T> {
         parents: &[Var<'t, T>],
         backward: impl Fn(&Tensor<T>, &mut GradSink<'_, T>) + 'static,
     ) -> Var<'t, T> {
-        assert!(parents.iter().all(|p| std::ptr::eq(p.tape, self)), "{op}: an operand belongs to another tape");
-        let requires_grad = parents.iter().any(|p| p.requires_grad());
-        let ids = parents.iter().map(|p| p.id).collect();
+        let (ids, requires_grad) = self.links(op, parents);
         let backward: Option<Backward<T>> = if requires_grad { Some(Box::new(backward)) } else { None };
         self.append(op, output, ids, backward, requires_grad)
+    }
+
+    /// Places of the parents, and whether one of them requires a gradient.
+    #[track_caller]
+    fn links(&self, op: &str, parents: &[Var<'_, T>]) -> (Box<[usize]>, bool) {
+        assert!(parents.iter().all(|p| std::ptr::eq(p.tape, self)), "{op}: an operand belongs to another tape");
+        (parents.iter().map(|p| p.id).collect(), parents.iter().any(|p| p.requires_grad()))
     }
 
     fn append(
@@ -322,6 +327,11 @@ impl<T: Scalar> GradSlot<'_, T> {
     pub fn write(&mut self, write: impl FnOnce(&mut [T])) {
         let mut fresh = self.pool.take(self.shape.len());
         write(&mut fresh);
+        self.add_fresh(fresh);
+    }
+
+    /// Adds a pooled buffer.
+    fn add_fresh(&mut self, fresh: Vec<T>) {
         let fresh = Tensor::pooled(self.shape, fresh, self.pool);
         self.add_tensor(&fresh);
     }
