@@ -38,7 +38,7 @@ pub fn splitmix64(state: u64, index: u64) -> u64 {
 }
 
 /// Number `index` of a sequence that is uniform in `[0, 1)`.
-fn unit(state: u64, index: u64) -> f64 {
+pub(crate) fn unit(state: u64, index: u64) -> f64 {
     (splitmix64(state, index) >> 11) as f64 / (1u64 << 53) as f64
 }
 
