@@ -21,6 +21,7 @@
 //! The same inputs give the same bits on any number of threads: work is cut into chunks of fixed size ([`par`]) and
 //! reductions run in a fixed order.
 
+mod erfc;
 mod fast;
 pub mod gemm;
 pub mod gradcheck;

@@ -56,6 +56,8 @@ pub trait Scalar:
     fn exp(self) -> Self;
     /// Natural logarithm.
     fn ln(self) -> Self;
+    /// `ln(1 + self)`, exact to rounding also near 0.
+    fn ln_1p(self) -> Self;
     /// Absolute value.
     fn abs(self) -> Self;
     /// Smaller of two; the other one where one is NaN.
@@ -66,6 +68,8 @@ pub trait Scalar:
     fn floor(self) -> Self;
     /// Hyperbolic tangent.
     fn tanh(self) -> Self;
+    /// Complementary error function, `1 - erf`: twice the mass of a normal distribution of variance 1/2 above this.
+    fn erfc(self) -> Self;
     /// Sine, radians.
     fn sin(self) -> Self;
     /// Cosine, radians.
@@ -78,6 +82,8 @@ pub trait Scalar:
     fn mul_add(self, a: Self, b: Self) -> Self;
     /// Integer power.
     fn powi(self, n: i32) -> Self;
+    /// Power with any exponent; NaN for a negative base and a fractional exponent.
+    fn powf(self, exponent: Self) -> Self;
     /// Neither infinite nor NaN.
     fn is_finite(self) -> bool;
     /// Not a number.
@@ -85,7 +91,7 @@ pub trait Scalar:
 }
 
 macro_rules! scalar {
-    ($t:ident, $exp:path, $tanh:path) => {
+    ($t:ident, $exp:path, $tanh:path, $erfc:path) => {
         impl Scalar for $t {
             const ZERO: Self = 0.0;
             const ONE: Self = 1.0;
@@ -108,8 +114,12 @@ macro_rules! scalar {
             fn tanh(self) -> Self {
                 $tanh(self)
             }
-            scalar!(@unary $t: sqrt ln abs floor sin cos acos);
-            scalar!(@binary $t: min max atan2);
+            #[inline(always)]
+            fn erfc(self) -> Self {
+                $erfc(self)
+            }
+            scalar!(@unary $t: sqrt ln ln_1p abs floor sin cos acos);
+            scalar!(@binary $t: min max atan2 powf);
             #[inline(always)]
             fn mul_add(self, a: Self, b: Self) -> Self {
                 $t::mul_add(self, a, b)
@@ -142,5 +152,5 @@ macro_rules! scalar {
     )*};
 }
 
-scalar!(f32, crate::fast::exp, crate::fast::tanh);
-scalar!(f64, f64::exp, f64::tanh);
+scalar!(f32, crate::fast::exp, crate::fast::tanh, crate::erfc::single);
+scalar!(f64, f64::exp, f64::tanh, crate::erfc::double);

@@ -5,12 +5,16 @@
 use super::{kernel, unary};
 use crate::{Scalar, Var};
 
+/// The logistic function of one number.
+#[inline(always)]
+pub(crate) fn logistic<T: Scalar>(x: T) -> T {
+    let small = (-x.abs()).exp();
+    let upper = T::ONE / (T::ONE + small);
+    if x < T::ZERO { small * upper } else { upper }
+}
+
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
-    kernel::map(y, x, |x| {
-        let small = (-x.abs()).exp();
-        let upper = T::ONE / (T::ONE + small);
-        if x < T::ZERO { small * upper } else { upper }
-    });
+    kernel::map(y, x, logistic);
 }
 
 fn backward<T: Scalar>(y: &[T], grad_y: &[T], grad_x: &mut [T]) {
