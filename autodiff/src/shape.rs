@@ -68,6 +68,13 @@ impl Shape {
         Shape([self.0[0], self.0[1], h, w])
     }
 
+    /// The same shape with another size of one axis (0 to 3 for n, c, h, w).
+    pub const fn with_axis(self, axis: usize, size: usize) -> Self {
+        let mut sizes = self.0;
+        sizes[axis] = size;
+        Shape(sizes)
+    }
+
     /// Position of an element in the row-major buffer.
     pub const fn index(self, n: usize, c: usize, h: usize, w: usize) -> usize {
         ((n * self.0[1] + c) * self.0[2] + h) * self.0[3] + w
@@ -107,6 +114,7 @@ mod tests {
         assert_eq!(shape.index(0, 0, 0, 1), 1);
         assert_eq!(shape.index(1, 2, 3, 4), 119);
         assert_eq!(format!("{shape}"), "[2, 3, 4, 5]");
+        assert_eq!(shape.with_axis(2, 9), Shape::new(2, 3, 9, 5));
     }
 
     #[test]

@@ -2,17 +2,16 @@
 
 use std::ops::Range;
 
+use super::axis::Lines;
 use crate::Shape;
 
 /// The positions in a row-major buffer of `shape` of the indices `start..start + len` of `axis`: one contiguous range for
 /// each combination of the axes before it, in order.
 pub(crate) fn band(shape: Shape, axis: usize, start: usize, len: usize) -> impl Iterator<Item = Range<usize>> {
-    let outer: usize = shape.0[..axis].iter().product();
-    let inner: usize = shape.0[axis + 1..].iter().product();
-    let step = shape.0[axis] * inner;
-    (0..outer).map(move |i| {
-        let at = i * step + start * inner;
-        at..at + len * inner
+    let lines = Lines::along(shape, axis);
+    (0..lines.outer).map(move |i| {
+        let at = i * lines.block() + start * lines.inner;
+        at..at + len * lines.inner
     })
 }
 
