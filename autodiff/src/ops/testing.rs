@@ -29,6 +29,14 @@ pub(crate) fn random_away(seed: u64, shape: Shape, lo: f64, hi: f64, kinks: &[f6
     Tensor::from_vec(shape, values)
 }
 
+/// Random values between about -1 and 1, any two of them at least 1 / count apart, in random order.
+pub(crate) fn distinct(seed: u64, shape: Shape) -> Tensor<f64> {
+    let (keys, count) = (random::<f64>(seed, shape, 0.0, 1.0), shape.len() as f64);
+    let rank = |key: &f64| keys.data().iter().filter(|other| *other < key).count() as f64;
+    let value = |key: &f64| (2.0 * rank(key) + key) / count - 1.0;
+    Tensor::from_vec(shape, keys.data().iter().map(value).collect())
+}
+
 /// The values of a one-operand operation on a row vector.
 pub(crate) fn values(x: &[f64], op: impl for<'t> Fn(Var<'t, f64>) -> Var<'t, f64>) -> Vec<f64> {
     let tape = Tape::new();
