@@ -7,7 +7,7 @@
 //! The filter is separable: rows are summed first, then columns, directly (no running sums), so the rounding error of
 //! one window does not depend on the rest of the plane.
 
-use super::pad_reflect::{Edge, fill_ends, fold_ends};
+use super::pad::{Edge, fill_ends, fold_ends};
 use super::planes::{add_row, for_each_plane};
 use crate::{Scalar, Var};
 
@@ -54,7 +54,7 @@ fn forward_plane<T: Scalar>(x: &[T], y: &mut [T], width: usize, k: usize) {
     let mut padded = vec![T::ZERO; width + 2 * p];
     for (i, out) in y.chunks_exact_mut(width).enumerate() {
         sum_rows(x, &mut padded[p..p + width], i, k);
-        fill_ends(&mut padded, p, Edge::Reflect);
+        fill_ends(&mut padded, [p, p], Edge::Reflect);
         sum_shifted(&padded, out, k);
         for v in out {
             *v *= scale;
@@ -74,7 +74,7 @@ fn backward_plane<T: Scalar>(g: &[T], gx: &mut [T], width: usize, k: usize) {
             *o = v * scale;
         }
         sum_shifted(&wide, &mut padded, k);
-        fold_ends(&mut padded, p, Edge::Reflect);
+        fold_ends(&mut padded, [p, p], Edge::Reflect);
         for d in 0..k {
             let target = Edge::Reflect.source(i + d, p, height) * width;
             add_row(&mut gx[target..target + width], &padded[p..p + width]);
