@@ -60,6 +60,7 @@ mod reduce;
 mod relu;
 mod reshape;
 mod resize_bilinear;
+mod resize_nearest;
 mod sample_axis;
 mod scale;
 mod select;
