@@ -22,6 +22,7 @@ mod correlation;
 mod correlation_lookup;
 mod cos;
 mod div;
+pub mod drop_path;
 mod elu;
 mod exp;
 pub mod extremum;
