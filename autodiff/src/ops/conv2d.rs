@@ -58,6 +58,11 @@ impl Conv2d {
         Conv2d { pad_mode: PadMode::Reflect, ..self }
     }
 
+    /// The same with repeated borders.
+    pub fn replicate(self) -> Self {
+        Conv2d { pad_mode: PadMode::Replicate, ..self }
+    }
+
     /// Shape of the output for an input and weights `[out, in / groups, kh, kw]`.
     ///
     /// # Panics
@@ -296,6 +301,7 @@ fn plane_sum<T: Scalar>(plane: &[T]) -> f64 {
 mod tests {
     use super::*;
     use crate::gradcheck::{random, weighted_sum};
+    use crate::ops::testing::close;
     use crate::{GradCheck, Tape, gradcheck};
 
     /// The definition, written as plain loops.
@@ -348,6 +354,9 @@ mod tests {
             (Shape::new(2, 2, 3, 6), Shape::new(17, 2, 3, 3), Conv2d::new(1, 1)),
             (Shape::new(1, 4, 4, 5), Shape::new(12, 2, 1, 2), c((1, 1), (0, 1), (1, 1), 2, Reflect)),
             (Shape::new(1, 1, 2, 11), Shape::new(5, 1, 1, 4), c((1, 3), (0, 2), (1, 1), 1, Replicate)),
+            (Shape::new(2, 2, 2, 3), Shape::new(2, 2, 3, 3), c((1, 2), (3, 4), (1, 1), 1, Replicate)),
+            (Shape::new(1, 4, 6, 5), Shape::new(4, 1, 3, 3), c((2, 1), (2, 2), (2, 2), 4, Replicate)),
+            (Shape::new(1, 3, 1, 1), Shape::new(2, 3, 3, 3), Conv2d::new(1, 1).replicate()),
         ]
     }
 
@@ -399,6 +408,18 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn padded_borders_equal_a_padding_before_the_convolution() {
+        let tape = Tape::new();
+        let x = tape.constant(random::<f64>(1, Shape::new(2, 3, 5, 7), -1.0, 1.0));
+        let w = tape.constant(random(2, Shape::new(4, 3, 3, 3), -1.0, 1.0));
+        let inside = |conv: Conv2d| x.conv2d(w, None, conv).value();
+        let before = |padded: Var<'_, f64>| padded.conv2d(w, None, Conv2d::new(2, 0)).value();
+        close(inside(Conv2d::new(2, 2)).data(), before(x.pad_zero(2)).data());
+        close(inside(Conv2d::new(2, 2).reflect()).data(), before(x.pad_reflect(2)).data());
+        close(inside(Conv2d::new(2, 2).replicate()).data(), before(x.pad_replicate(2)).data());
     }
 
     #[test]
