@@ -29,6 +29,11 @@ impl<'a, T> View<'a, T> {
     pub fn transpose_of(data: &'a [T], rows: usize, cols: usize) -> Self {
         View { data, rows, cols, transposed: true }
     }
+
+    /// The transpose of this matrix, over the same slice.
+    pub fn t(self) -> Self {
+        View { rows: self.cols, cols: self.rows, transposed: !self.transposed, ..self }
+    }
 }
 
 /// Element types with a matrix product.
@@ -86,6 +91,8 @@ mod tests {
                 assert_eq!(out, want);
                 f64::gemm(&mut out, a, b, true);
                 assert_eq!(out, want.map(|x| 2.0 * x));
+                f64::gemm(&mut out, b.t(), a.t(), false);
+                assert_eq!(out, [0.5, 2.0, 7.0, 16.0]);
             }
         }
     }

@@ -38,6 +38,7 @@ mod tensor;
 
 pub use gradcheck::{GradCheck, gradcheck};
 pub use ops::conv2d::{Conv2d, PadMode};
+pub use ops::matmul::MatMul;
 pub use pixel_grid::pixel_grid;
 pub use pool::Pool;
 pub use scalar::Scalar;

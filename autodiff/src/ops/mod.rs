@@ -36,7 +36,7 @@ mod ln;
 mod log1p_exp;
 mod lookup_window;
 mod masked_mean;
-mod matmul;
+pub mod matmul;
 mod max_axis;
 mod max_pool2d;
 mod maximum;

@@ -70,7 +70,7 @@ fn source_rows(row: usize, small: Shape, large: Shape) -> impl Iterator<Item = R
 }
 
 /// The indices of the large axis that belong to index `i` of the small one.
-fn span(i: usize, small: usize, large: usize) -> Range<usize> {
+pub(crate) fn span(i: usize, small: usize, large: usize) -> Range<usize> {
     if small == large { i..i + 1 } else { 0..large }
 }
 
