@@ -32,6 +32,7 @@ mod instance_norm;
 pub mod kernel;
 mod l2_normalise;
 mod layer_norm;
+mod linear;
 mod ln;
 mod log1p_exp;
 mod lookup_window;
