@@ -2,7 +2,8 @@
 
 use dimode_autodiff::gradcheck::{random, weighted_sum};
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
-use dimode_autodiff::{Shape, Tape, Tensor, Var, par};
+use dimode_autodiff::ops::drop_path::keep_mask;
+use dimode_autodiff::{MatMul, Shape, Tape, Tensor, Var, par};
 
 type Op = for<'t> fn(&[Var<'t, f32>]) -> Var<'t, f32>;
 
@@ -43,6 +44,7 @@ fn normalisation() {
         let var = random(4, Shape(VECTOR), 0.5, 2.0);
         v[0].batch_norm_eval(v[1], v[2], &mean, &var, 1e-5)
     });
+    assert_same_bits(&[X, VECTOR, VECTOR], |v| v[0].layer_norm(v[1], v[2], 1e-6));
 }
 
 #[test]
@@ -58,9 +60,20 @@ fn windows() {
 fn resizing_and_padding() {
     assert_same_bits(&[X], |v| v[0].pad_reflect(3));
     assert_same_bits(&[X], |v| v[0].pad_replicate(2));
+    assert_same_bits(&[X], |v| v[0].pad_zero(2));
     assert_same_bits(&[X], |v| v[0].upsample_nearest(2));
+    assert_same_bits(&[X], |v| v[0].resize_nearest(31, 20));
     assert_same_bits(&[X], |v| v[0].resize_bilinear(46, 76, false));
     assert_same_bits(&[X], |v| v[0].resize_bilinear(46, 76, true));
+}
+
+#[test]
+fn products_and_samples() {
+    assert_same_bits(&[X, [1, 1, 9, 38], [1, 9, 1, 1]], |v| v[0].linear(v[1], Some(v[2])));
+    assert_same_bits(&[X, [1, 7, 9, 38]], |v| {
+        v[0].matmul_with(v[1], MatMul { transpose_right: true, broadcast: true, ..MatMul::default() })
+    });
+    assert_same_bits(&[X], |v| v[0].drop_path(&keep_mask(5, 0.3, 1, 2), 0.3));
 }
 
 #[test]
