@@ -29,6 +29,7 @@ pub mod ops;
 pub mod par;
 mod pixel_grid;
 mod pool;
+pub mod proof;
 pub mod rng;
 mod scalar;
 mod shape;

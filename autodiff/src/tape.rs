@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::fmt;
 use std::sync::Arc;
 
+use crate::proof::Planted;
 use crate::{Pool, Scalar, Shape, Tensor};
 
 /// What an operation does in the backward pass: given the gradient of its output, add to the gradients of its parents.
@@ -26,6 +27,8 @@ struct Node<T: Scalar> {
 pub struct Tape<T: Scalar> {
     nodes: RefCell<Vec<Node<T>>>,
     pool: Arc<Pool<T>>,
+    /// A fault in one backward rule, for the test of the gradient checks.
+    planted: RefCell<Option<Planted<T>>>,
 }
 
 /// A handle to a value on a tape; cheap to copy.
@@ -63,7 +66,7 @@ impl<T: Scalar> Tape<T> {
 
     /// An empty tape that takes its buffers from `pool`.
     pub fn with_pool(pool: Arc<Pool<T>>) -> Self {
-        Tape { nodes: RefCell::new(Vec::new()), pool }
+        Tape { nodes: RefCell::new(Vec::new()), pool, planted: RefCell::new(None) }
     }
 
     /// The pool of this tape's buffers.
@@ -172,6 +175,20 @@ impl<T: Scalar> Tape<T> {
         self.sweep(loss, true)
     }
 
+    /// Spoils one backward rule in the sweeps to come.
+    pub(crate) fn plant(&self, planted: Planted<T>) {
+        *self.planted.borrow_mut() = Some(planted);
+    }
+
+    /// The backward rules recorded so far: node, its operation, and a parent that wants a gradient.
+    pub(crate) fn rules(&self) -> Vec<(usize, &'static str, usize)> {
+        let nodes = self.nodes.borrow();
+        let wanted =
+            |node: &Node<T>| (0..node.parents.len()).filter(|&k| nodes[node.parents[k]].requires_grad).collect::<Vec<_>>();
+        let rules = |(id, node): (usize, &Node<T>)| wanted(node).into_iter().map(|k| (id, node.op, k)).collect::<Vec<_>>();
+        nodes.iter().enumerate().flat_map(rules).collect()
+    }
+
     #[track_caller]
     fn sweep(&self, loss: Var<'_, T>, free: bool) -> Gradients<T> {
         assert!(std::ptr::eq(loss.tape, self), "backward: the loss belongs to another tape");
@@ -182,6 +199,7 @@ impl<T: Scalar> Tape<T> {
         let shapes: Vec<Shape> = nodes.iter().map(|n| n.shape).collect();
         let mut grads: Vec<Option<Tensor<T>>> = (0..=loss.id).map(|_| None).collect();
         grads[loss.id] = Some(Tensor::full(shape, T::ONE));
+        let planted = self.planted.borrow();
         for id in (0..=loss.id).rev() {
             let node = &mut nodes[id];
             if let (Some(backward), Some(grad)) = (&node.backward, &grads[id]) {
@@ -189,9 +207,17 @@ impl<T: Scalar> Tape<T> {
                 if !node.keeps_grad {
                     grads[id] = None;
                 }
+                let planted = planted.as_ref().filter(|planted| planted.node == id);
+                let others = planted.and_then(|planted| grads[node.parents[planted.parent]].take());
                 let mut sink =
                     GradSink { parents: &node.parents, needs: &needs, shapes: &shapes, grads: &mut grads, pool: &self.pool };
                 backward(&grad, &mut sink);
+                if let Some(planted) = planted {
+                    let parent = node.parents[planted.parent];
+                    let mut slot = GradSlot { shape: shapes[parent], grad: &mut grads[parent], pool: &self.pool };
+                    (planted.spoil)(slot.shape, slot.as_mut_slice());
+                    others.iter().for_each(|others| slot.add_tensor(others));
+                }
             }
             if free && !node.parents.is_empty() {
                 node.backward = None;

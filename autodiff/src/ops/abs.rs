@@ -1,6 +1,7 @@
 //! `y = |x|`. Vector-Jacobian product: `g sign(x)`, and 0 at the kink `x = 0`. Keeps: the input. NaN stays NaN.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -26,6 +27,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn abs(self) -> Var<'t, T> {
         unary::keep_input("abs", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Abs;
+
+impl Twin for Abs {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].abs()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| if x.value() < 0.0 { -x } else { x })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("abs", Abs, [-2.0, 2.0], &[0.0])
 }
 
 #[cfg(test)]

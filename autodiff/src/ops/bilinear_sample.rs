@@ -12,7 +12,8 @@
 
 use super::sample_axis::AxisTap;
 pub use super::sample_axis::SamplePadding;
-use crate::{Scalar, Shape, Var, par};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
+use crate::{Scalar, Shape, Tensor, Var, par};
 
 /// Weights of one sample on the four pixels of the 2 x 2 cell that starts at `base`.
 #[derive(Clone, Copy, Debug)]
@@ -193,6 +194,69 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sample(SamplePadding);
+
+impl Twin for Sample {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].bilinear_sample(v[1], self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let (image, coords) = (&x[0], &x[1]);
+        let [_, channels, height, width] = image.shape.0;
+        let out = Shape::new(image.shape.n(), channels, coords.shape.h(), coords.shape.w());
+        let held = |x: N, size: usize| match self.0 {
+            SamplePadding::Border => x.max(N::zero()).min(N::constant(size as f64 - 1.0)),
+            SamplePadding::Zeros => x,
+        };
+        Plain::from_fn(out, |[n, c, h, w]| {
+            let (u, v) = (held(coords.at([n, 0, h, w]), width), held(coords.at([n, 1, h, w]), height));
+            let (i, j) = (u.value().floor() as isize, v.value().floor() as isize);
+            let (a, b) = (u - u.floor(), v - v.floor());
+            let row = |j| (N::one() - a) * image.or_zero(n, c, j, i) + a * image.or_zero(n, c, j, i + 1);
+            (N::one() - b) * row(j) + b * row(j + 1)
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("bilinear_sample");
+    let mut cases = Vec::new();
+    let sizes = [
+        ([2, 3, 3, 5], [4, 3], [true, true]),
+        ([1, 1, 1, 4], [5, 2], [true, true]),
+        ([1, 2, 6, 1], [3, 7], [true, true]),
+        ([2, 1, 1, 1], [2, 3], [true, true]),
+        ([1, 2, 2, 2], [1, 1], [true, true]),
+        ([2, 2, 7, 4], [1, 9], [true, false]),
+        ([2, 4, 4, 7], [9, 1], [false, true]),
+        ([2, 3, 11, 31], [5, 6], [true, true]),
+        ([1, 2, 5, 6], [29, 35], [true, true]),
+    ];
+    for (image, [h, w], moves) in sizes {
+        for padding in [SamplePadding::Border, SamplePadding::Zeros] {
+            let values = draw.uniform(Shape(image), -1.0, 1.0);
+            let points = around(&mut draw, Shape::new(image[0], 2, h, w), image[3], image[2]);
+            let mut case = Case::new(Sample(padding), [values, points]);
+            for k in (0..2).filter(|&k| !moves[k]) {
+                case = case.constant(k);
+            }
+            cases.push(case);
+        }
+    }
+    Proof::new("bilinear_sample", cases)
+}
+
+/// Coordinates in an image and up to two pixels beyond, at least 0.05 away from every integer.
+fn around(draw: &mut Draw, shape: Shape, width: usize, height: usize) -> Tensor<f64> {
+    let (whole, part) = (draw.uniform(shape, 0.0, 1.0), draw.uniform(shape, 0.05, 0.95));
+    Tensor::from_fn(shape, |n, c, h, w| {
+        let cells = if c == 0 { width + 3 } else { height + 3 };
+        (whole.at(n, c, h, w) * cells as f64).floor() - 2.0 + part.at(n, c, h, w)
+    })
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ use std::sync::Arc;
 use super::conv::direct::{Direct, OutputBlock, blocks, pack_weights, padded_len};
 use super::conv::layout::Layout;
 use super::conv::weight::backward_weight;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
 use crate::{Pool, Scalar, Shape, Tensor, Var, par};
 
 /// What lies outside the image.
@@ -295,6 +296,96 @@ fn plane_sum<T: Scalar>(plane: &[T]) -> f64 {
         total += lanes.iter().chain(rest).map(|x| x.to_f64()).sum::<f64>();
     }
     total
+}
+
+#[derive(Debug)]
+struct Convolution(Conv2d);
+
+impl Twin for Convolution {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].conv2d(v[1], v.get(2).copied(), self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let (conv, image, weight) = (self.0, &x[0], &x[1]);
+        let [samples, _, height, width] = image.shape.0;
+        let [outputs, channels, rows, columns] = weight.shape.0;
+        // Position in the image, or none in a border of zeros.
+        let place = |i: usize, len: usize, mode| -> Option<usize> {
+            let (mut i, last) = (i as isize, len as isize - 1);
+            if i < 0 || i > last {
+                i = match mode {
+                    PadMode::Zero => return None,
+                    PadMode::Reflect if i < 0 => -i,
+                    PadMode::Reflect => 2 * last - i,
+                    PadMode::Replicate => i.clamp(0, last),
+                };
+            }
+            Some(i as usize)
+        };
+        let reach = |len: usize, k: usize| len - (k - 1);
+        let high = reach(height + 2 * conv.padding.0, conv.dilation.0 * (rows - 1) + 1).div_ceil(conv.stride.0);
+        let wide = reach(width + 2 * conv.padding.1, conv.dilation.1 * (columns - 1) + 1).div_ceil(conv.stride.1);
+        Plain::from_fn(Shape::new(samples, outputs, high, wide), |[n, o, i, j]| {
+            let first = o / (outputs / conv.groups) * channels;
+            let mut sum = x.get(2).map_or(N::zero(), |bias| bias.at([0, o, 0, 0]));
+            for c in 0..channels {
+                for u in 0..rows {
+                    for v in 0..columns {
+                        let h = (i * conv.stride.0 + u * conv.dilation.0).wrapping_sub(conv.padding.0);
+                        let w = (j * conv.stride.1 + v * conv.dilation.1).wrapping_sub(conv.padding.1);
+                        if let (Some(h), Some(w)) = (place(h, height, conv.pad_mode), place(w, width, conv.pad_mode)) {
+                            sum = sum + weight.at([o, c, u, v]) * image.at([n, first + c, h, w]);
+                        }
+                    }
+                }
+            }
+            sum
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("conv2d");
+    let mut cases = Vec::new();
+    let mut add = |conv: Conv2d, [n, c, h, w]: [usize; 4], [o, kh, kw]: [usize; 3], bias: bool| {
+        let mut inputs = vec![
+            draw.uniform(Shape::new(n, c * conv.groups, h, w), -1.0, 1.0),
+            draw.uniform(Shape::new(o * conv.groups, c, kh, kw), -1.0, 1.0),
+        ];
+        inputs.extend(bias.then(|| draw.uniform(Shape::new(1, o * conv.groups, 1, 1), -1.0, 1.0)));
+        cases.push(Case::new(Convolution(conv), inputs));
+    };
+    let plain = Conv2d::default();
+    add(plain, [1, 1, 1, 1], [1, 1, 1], false);
+    add(plain, [2, 3, 5, 4], [4, 1, 1], true);
+    add(Conv2d { stride: (2, 3), ..plain }, [1, 2, 5, 7], [3, 1, 1], false);
+    add(plain, [1, 2, 4, 6], [3, 2, 4], true);
+    add(Conv2d { dilation: (2, 3), padding: (2, 3), ..plain }, [1, 2, 5, 4], [2, 3, 3], true);
+    add(Conv2d { groups: 3, padding: (1, 1), ..plain }, [2, 1, 4, 3], [1, 3, 3], true);
+    add(Conv2d { groups: 2, stride: (2, 1), padding: (0, 2), ..plain }, [1, 2, 5, 3], [3, 3, 5], false);
+    for mode in [PadMode::Zero, PadMode::Reflect, PadMode::Replicate] {
+        let conv = Conv2d { pad_mode: mode, ..plain };
+        add(Conv2d { padding: (1, 1), ..conv }, [2, 3, 4, 5], [2, 3, 3], true);
+        add(Conv2d { padding: (1, 1), stride: (2, 2), ..conv }, [1, 2, 7, 4], [3, 3, 3], false);
+        add(Conv2d { padding: (3, 2), stride: (1, 2), dilation: (1, 2), ..conv }, [1, 2, 4, 5], [2, 2, 3], true);
+        add(Conv2d { padding: (3, 3), stride: (2, 2), ..conv }, [1, 1, 9, 6], [9, 7, 7], false);
+        add(Conv2d { padding: (0, 4), ..conv }, [1, 1, 1, 5], [2, 1, 9], true);
+        add(Conv2d { padding: (1, 1), stride: (2, 1), dilation: (2, 1), groups: 2, ..conv }, [1, 2, 4, 3], [2, 2, 2], true);
+    }
+    for mode in [PadMode::Zero, PadMode::Replicate] {
+        let conv = Conv2d { pad_mode: mode, padding: (4, 3), stride: (3, 2), ..plain };
+        add(conv, [1, 2, 1, 2], [2, 3, 3], true);
+    }
+    // More outputs than one block of channels, and 2,000 entries.
+    add(Conv2d::new(1, 1), [1, 5, 3, 3], [19, 3, 3], true);
+    add(Conv2d::new(2, 1), [2, 3, 11, 31], [2, 3, 3], true);
+    for (k, bias) in [(0, true), (1, true), (0, false), (2, true)] {
+        let mut inputs = vec![draw.uniform(Shape::new(2, 2, 3, 4), -1.0, 1.0), draw.uniform(Shape::new(3, 2, 2, 3), -1.0, 1.0)];
+        inputs.extend(bias.then(|| draw.uniform(Shape::new(1, 3, 1, 1), -1.0, 1.0)));
+        cases.push(Case::new(Convolution(Conv2d { padding: (1, 0), ..plain }), inputs).constant(k));
+    }
+    Proof::new("conv2d", cases)
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@
 //! Both keep `b`, and the output when `b` wants a gradient.
 
 use super::{binary, kernel};
+use crate::proof::{Draw, Number, Plain, Proof, Twin};
 use crate::shape::assert_same;
 use crate::{GradSink, Scalar, Tensor, Var};
 
@@ -86,6 +87,37 @@ impl<'t, T: Scalar> std::ops::Div for Var<'t, T> {
     fn div(self, other: Var<'t, T>) -> Var<'t, T> {
         Var::div(self, other)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Quotient {
+    guard: Option<f64>,
+}
+
+impl Twin for Quotient {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        match self.guard {
+            None => v[0] / v[1],
+            Some(eps) => v[0].div_guarded(v[1], eps),
+        }
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].zip(&x[1], |a, b| match self.guard {
+            Some(eps) if b.value().abs() < eps => a / N::constant(if b.value() < 0.0 { -eps } else { eps }),
+            _ => a / b,
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::binary("div", Quotient { guard: None }, |draw: &mut Draw, shape| [draw.uniform(shape, -2.0, 2.0), draw.weights(shape)])
+}
+
+pub(crate) fn guarded_proof() -> Proof {
+    Proof::binary("div_guarded", Quotient { guard: Some(0.5) }, |draw: &mut Draw, shape| {
+        [draw.uniform(shape, -2.0, 2.0), draw.away(shape, -2.0, 2.0, &[-0.5, 0.5])]
+    })
 }
 
 #[cfg(test)]

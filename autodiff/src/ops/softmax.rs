@@ -7,6 +7,7 @@
 use super::axis::{Lines, rounded};
 use super::blocks::assert_axis;
 use super::unary;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes, total};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T], lines: Lines) {
@@ -36,6 +37,33 @@ impl<'t, T: Scalar> Var<'t, T> {
         let lines = Lines::along(self.shape(), axis);
         unary::keep_output("softmax", self, |x, y| forward(x, y, lines), move |y, g, out| backward(y, g, out, lines))
     }
+}
+
+#[derive(Debug)]
+struct Softmax {
+    axis: usize,
+}
+
+impl Twin for Softmax {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].softmax(self.axis)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let x = &x[0];
+        Plain::from_fn(x.shape, |i| x.at(i).exp() / total(x.line(i, self.axis).into_iter().map(N::exp)))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("softmax");
+    let shapes = shapes(&mut draw);
+    let cases = shapes.iter().enumerate().flat_map(|(i, &shape)| {
+        let axes = if shape.len() > 500 { i % 4..i % 4 + 1 } else { 0..4 };
+        let x = draw.uniform(shape, -2.0, 2.0);
+        axes.map(move |axis| Case::new(Softmax { axis }, [x.clone()]))
+    });
+    Proof::new("softmax", cases.collect::<Vec<_>>())
 }
 
 #[cfg(test)]
