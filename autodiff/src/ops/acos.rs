@@ -5,6 +5,7 @@
 //! not resolved: for the angle between two vectors prefer `atan2` of cross and dot product, whose slope is bounded.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -23,6 +24,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn acos(self) -> Var<'t, T> {
         unary::keep_input("acos", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Acos;
+
+impl Twin for Acos {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].acos()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(N::acos)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("acos", Acos, [-0.95, 0.95], &[])
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! `y = a + b`, entry by entry. Vector-Jacobian products: `g` to `a`, `g` to `b`. Linear. Keeps: nothing.
 
 use super::{binary, kernel};
+use crate::proof::{Draw, Number, Plain, Proof, Twin};
 use crate::shape::assert_same;
 use crate::{GradSink, Scalar, Tensor, Var};
 
@@ -37,6 +38,23 @@ impl<'t, T: Scalar> std::ops::Add for Var<'t, T> {
     fn add(self, other: Var<'t, T>) -> Var<'t, T> {
         Var::add(self, other)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Add;
+
+impl Twin for Add {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].add(v[1])
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].zip(&x[1], |a, b| a + b)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::binary("add", Add, |draw: &mut Draw, shape| [draw.uniform(shape, -2.0, 2.0), draw.uniform(shape, -2.0, 2.0)])
 }
 
 #[cfg(test)]

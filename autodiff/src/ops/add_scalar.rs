@@ -1,6 +1,7 @@
 //! `y = x + k` with a constant `k`. Vector-Jacobian product: `g`. Affine. Keeps: nothing.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{GradSink, Scalar, Tensor, Var};
 
 fn forward<T: Scalar>(x: &[T], term: T, y: &mut [T]) {
@@ -19,6 +20,28 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct AddScalar(f64);
+
+impl Twin for AddScalar {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].add_scalar(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| x + N::constant(self.0))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("add_scalar", AddScalar(0.75), [-2.0, 2.0], &[]).and(Proof::unary(
+        "add_scalar",
+        AddScalar(-2.0),
+        [-2.0, 2.0],
+        &[],
+    ))
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 //! neither large nor tiny finite vectors overflow. NaN stays NaN.
 
 use super::{binary, kernel};
+use crate::proof::{Draw, Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(y: &[T], x: &[T], angle: &mut [T]) {
@@ -38,6 +39,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn atan2(self, x: Var<'t, T>) -> Var<'t, T> {
         binary::keep_both("atan2", self, x, forward, backward_y, backward_x)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Atan2;
+
+impl Twin for Atan2 {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].atan2(v[1])
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].zip(&x[1], N::atan2)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::binary("atan2", Atan2, |draw: &mut Draw, shape| [draw.weights(shape), draw.weights(shape)])
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 //! This is the only way to combine different shapes: no other operation repeats an operand.
 
 use super::reduce::{assert_goes_with, expand, reduce};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, some_axes};
 use crate::{GradSink, Scalar, Shape, Tensor, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -28,6 +29,28 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct BroadcastTo(Shape);
+
+impl Twin for BroadcastTo {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].broadcast_to(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        Plain::from_fn(self.0, |i| x[0].repeated(i))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("broadcast_to");
+    let pairs = some_axes(&mut draw);
+    Proof::new(
+        "broadcast_to",
+        pairs.into_iter().map(|(large, small)| Case::new(BroadcastTo(large), [draw.uniform(small, -2.0, 2.0)])),
+    )
 }
 
 #[cfg(test)]

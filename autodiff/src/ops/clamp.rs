@@ -2,6 +2,7 @@
 //! `x = hi` the gradient passes. Keeps: the input. NaN stays NaN.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], lo: T, hi: T, y: &mut [T]) {
@@ -32,6 +33,28 @@ impl<'t, T: Scalar> Var<'t, T> {
         let (lo, hi) = (T::from_f64(lo), T::from_f64(hi));
         unary::keep_input("clamp", self, |x, y| forward(x, lo, hi, y), move |x, g, out| backward(x, lo, hi, g, out))
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Clamp(f64, f64);
+
+impl Twin for Clamp {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].clamp(self.0, self.1)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| x.max(N::constant(self.0)).min(N::constant(self.1)))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("clamp", Clamp(-0.5, 1.0), [-2.0, 2.0], &[-0.5, 1.0]).and(Proof::unary(
+        "clamp",
+        Clamp(f64::NEG_INFINITY, 0.25),
+        [-2.0, 2.0],
+        &[0.25],
+    ))
 }
 
 #[cfg(test)]

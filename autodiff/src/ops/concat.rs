@@ -2,6 +2,7 @@
 //! Linear. Keeps: nothing but sizes.
 
 use super::blocks::{assert_axis, band};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes, with};
 use crate::{GradSink, Scalar, Shape, Tensor, Var};
 
 /// Writes `x` into the band of `y` that begins at index `start` of `axis`.
@@ -66,6 +67,44 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Concat(usize);
+
+impl Twin for Concat {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        Var::concat(v, self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let sizes = x.iter().map(|part| part.shape.0[self.0]);
+        Plain::from_fn(x[0].shape.with_axis(self.0, sizes.sum()), |i| {
+            let (mut part, mut k) = (0, i[self.0]);
+            while k >= x[part].shape.0[self.0] {
+                k -= x[part].shape.0[self.0];
+                part += 1;
+            }
+            x[part].at(with(i, self.0, k))
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("concat");
+    let mut cases = Vec::new();
+    for (i, shape) in shapes(&mut draw).into_iter().enumerate() {
+        let axis = i % 4;
+        let parts: Vec<_> = (0..1 + i % 3)
+            .map(|part| {
+                let size = if part == 0 { shape.0[axis] } else { draw.size(1, 4) };
+                draw.uniform(shape.with_axis(axis, size), -2.0, 2.0)
+            })
+            .collect();
+        let case = Case::new(Concat(axis), parts);
+        cases.push(if i == 7 { case.constant(0) } else { case });
+    }
+    Proof::new("concat", cases)
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 //! The factor is multiplied: NaN in a dropped sample is not hidden.
 
 use super::kernel;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{GradSink, Scalar, Shape, Tensor, Var, rng};
 
 /// Samples to keep, shape `[samples, 1, 1, 1]`: each is 0 with probability `rate`, else 1.
@@ -60,6 +61,35 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct DropPath {
+    rate: f64,
+}
+
+impl Twin for DropPath {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].drop_path(&v[1].value(), self.rate)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let kept = |n| x[1].at([n, 0, 0, 0]).value() != 0.0;
+        let chosen = |i: [usize; 4]| if kept(i[0]) { x[0].at(i) / N::constant(1.0 - self.rate) } else { N::zero() };
+        Plain::from_fn(x[0].shape, chosen)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("drop_path");
+    let mut cases = Vec::new();
+    for shape in shapes(&mut draw) {
+        for rate in [0.0, 0.25] {
+            let mask = Tensor::from_fn(Shape::new(shape.n(), 1, 1, 1), |n, _, _, _| if n == 1 { 0.0 } else { 1.0 });
+            cases.push(Case::new(DropPath { rate }, [draw.uniform(shape, -2.0, 2.0), mask]).constant(1));
+        }
+    }
+    Proof::new("drop_path", cases)
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 //! `eˣ - 1` is computed as written: its absolute error stays below one unit of `T` at 1.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -21,6 +22,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn elu(self) -> Var<'t, T> {
         unary::keep_output("elu", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Elu;
+
+impl Twin for Elu {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].elu()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| if x.value() > 0.0 { x } else { x.exp() - N::one() })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("elu", Elu, [-2.0, 2.0], &[0.0])
 }
 
 #[cfg(test)]

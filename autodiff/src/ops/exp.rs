@@ -1,6 +1,7 @@
 //! `y = eˣ`. Vector-Jacobian product: `g y`. No kinks. Keeps: the output. Overflow gives `∞`, underflow 0.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -18,6 +19,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn exp(self) -> Var<'t, T> {
         unary::keep_output("exp", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Exp;
+
+impl Twin for Exp {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].exp()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(N::exp)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("exp", Exp, [-2.0, 2.0], &[])
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 use super::axis::Lines;
 use super::blocks::assert_axis;
 use super::planes::for_each_plane;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes, with};
 use crate::{GradSink, Scalar, Tensor, Var};
 
 fn forward<T: Scalar>(x: &[T], index: &[T], y: &mut [T], from: Lines, to: Lines) {
@@ -79,6 +80,33 @@ impl<'t, T: Scalar> Var<'t, T> {
         }
         record("gather", self, axis, index)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Gather(usize);
+
+impl Twin for Gather {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].gather(self.0, &v[1].value())
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        Plain::from_fn(x[1].shape, |i| x[0].at(with(i, self.0, x[1].at(i).value() as usize)))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("gather");
+    let mut cases = Vec::new();
+    for (i, shape) in shapes(&mut draw).into_iter().enumerate() {
+        let axes = if shape.len() > 500 { i % 4..i % 4 + 1 } else { 0..4 };
+        for axis in axes {
+            let picks = shape.with_axis(axis, draw.size(1, 5));
+            let inputs = [draw.uniform(shape, -2.0, 2.0), draw.whole(picks, shape.0[axis])];
+            cases.push(Case::new(Gather(axis), inputs).constant(1));
+        }
+    }
+    Proof::new("gather", cases)
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 /// Φ(x).
@@ -38,6 +39,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn gelu(self) -> Var<'t, T> {
         unary::keep_input("gelu", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Gelu;
+
+impl Twin for Gelu {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].gelu()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| x * N::constant(0.5) * (N::one() + (x / N::constant(2.0).sqrt()).erf()))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("gelu", Gelu, [-3.0, 3.0], &[])
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 //! occur, clamp the argument or `select` a positive constant first.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -21,6 +22,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn ln(self) -> Var<'t, T> {
         unary::keep_input("ln", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Ln;
+
+impl Twin for Ln {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].ln()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(N::ln)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("ln", Ln, [0.2, 3.0], &[])
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 
 use super::sigmoid::logistic;
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -27,6 +28,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn log1p_exp(self) -> Var<'t, T> {
         unary::keep_input("log1p_exp", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Log1pExp;
+
+impl Twin for Log1pExp {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].log1p_exp()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| x.exp().ln_1p())
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("log1p_exp", Log1pExp, [-3.0, 3.0], &[])
 }
 
 #[cfg(test)]

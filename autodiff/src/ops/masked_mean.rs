@@ -7,6 +7,7 @@
 
 use super::kernel;
 use super::reduce::masked_lane_sum;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, indices, shapes};
 use crate::shape::assert_same;
 use crate::{GradSink, Scalar, Shape, Tensor, Var, par};
 
@@ -51,6 +52,40 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct MaskedMean;
+
+impl Twin for MaskedMean {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].masked_mean(&v[1].value())
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let shape = x[0].shape;
+        Plain::from_fn(Shape::new(shape.n(), 1, 1, 1), |[n, ..]| {
+            let (mut sum, mut count) = (N::zero(), 0.0_f64);
+            for i in indices(shape).filter(|i| i[0] == n && x[1].at(*i).value() != 0.0) {
+                sum = sum + x[0].at(i);
+                count += 1.0;
+            }
+            sum / N::constant(count.max(1.0))
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("masked_mean");
+    let mut cases = Vec::new();
+    for shape in shapes(&mut draw) {
+        let inputs = [draw.uniform(shape, -2.0, 2.0), draw.whole(shape, 2)];
+        cases.push(Case::new(MaskedMean, inputs).constant(1));
+    }
+    let shape = Shape::new(3, 2, 5, 3);
+    let second_is_empty = Tensor::from_fn(shape, |n, _, _, w| if n == 1 { 0.0 } else { (w % 2) as f64 });
+    cases.push(Case::new(MaskedMean, [draw.uniform(shape, -2.0, 2.0), second_is_empty]).constant(1));
+    Proof::new("masked_mean", cases)
 }
 
 #[cfg(test)]

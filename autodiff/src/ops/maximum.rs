@@ -2,6 +2,7 @@
 //! `a = b` each gets `g / 2`. Keeps: both operands. NaN in either operand gives NaN.
 
 use super::{binary, kernel};
+use crate::proof::{Draw, Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(a: &[T], b: &[T], y: &mut [T]) {
@@ -42,6 +43,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn maximum(self, other: Var<'t, T>) -> Var<'t, T> {
         binary::keep_both("maximum", self, other, forward, backward, |a, b, g, out| backward(b, a, g, out))
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Maximum;
+
+impl Twin for Maximum {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].maximum(v[1])
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].zip(&x[1], |a, b| if a.value() > b.value() { a } else { b })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::binary("maximum", Maximum, |draw: &mut Draw, shape| draw.apart(shape))
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! The sum is taken in `f64`, in pieces of fixed size that are added in order. The mean of no entries is NaN.
 
 use super::reduce;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{Scalar, Shape, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -13,6 +14,27 @@ impl<'t, T: Scalar> Var<'t, T> {
         let shape = self.shape();
         reduce::record("mean", self, Shape::SCALAR, shape.len() as f64)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Mean;
+
+impl Twin for Mean {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].mean()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let to = Shape::SCALAR;
+        let terms = x[0].shape.len() as f64 / to.len() as f64;
+        x[0].summed(to).map(|sum| sum / N::constant(terms))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("mean");
+    let shapes = shapes(&mut draw);
+    Proof::new("mean", shapes.into_iter().map(|shape| Case::new(Mean, [draw.uniform(shape, -2.0, 2.0)])))
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! every channel of the pixel. Linear. Keeps: nothing. Sums are taken in `f64` in the order of the channels.
 
 use super::reduce;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{Scalar, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -12,6 +13,27 @@ impl<'t, T: Scalar> Var<'t, T> {
         let shape = self.shape();
         reduce::record("mean_channels", self, shape.with_c(1), shape.c() as f64)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct MeanChannels;
+
+impl Twin for MeanChannels {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].mean_channels()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let to = x[0].shape.with_c(1);
+        let terms = x[0].shape.len() as f64 / to.len() as f64;
+        x[0].summed(to).map(|sum| sum / N::constant(terms))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("mean_channels");
+    let shapes = shapes(&mut draw);
+    Proof::new("mean_channels", shapes.into_iter().map(|shape| Case::new(MeanChannels, [draw.uniform(shape, -2.0, 2.0)])))
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! of the plane. Linear. Keeps: nothing. Sums are taken in `f64` in a fixed order.
 
 use super::reduce;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{Scalar, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -12,6 +13,27 @@ impl<'t, T: Scalar> Var<'t, T> {
         let shape = self.shape();
         reduce::record("mean_hw", self, shape.with_plane(1, 1), shape.plane() as f64)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct MeanHw;
+
+impl Twin for MeanHw {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].mean_hw()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let to = x[0].shape.with_plane(1, 1);
+        let terms = x[0].shape.len() as f64 / to.len() as f64;
+        x[0].summed(to).map(|sum| sum / N::constant(terms))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("mean_hw");
+    let shapes = shapes(&mut draw);
+    Proof::new("mean_hw", shapes.into_iter().map(|shape| Case::new(MeanHw, [draw.uniform(shape, -2.0, 2.0)])))
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! `g / count` repeated along those axes. Linear. Keeps: nothing. Sums are taken in `f64` in a fixed order.
 
 use super::reduce;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, some_axes};
 use crate::{Scalar, Shape, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -16,6 +17,26 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn mean_to(self, shape: Shape) -> Var<'t, T> {
         reduce::record("mean_to", self, shape, self.shape().len() as f64 / shape.len() as f64)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct MeanTo(Shape);
+
+impl Twin for MeanTo {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].mean_to(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let terms = x[0].shape.len() as f64 / self.0.len() as f64;
+        x[0].summed(self.0).map(|sum| sum / N::constant(terms))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("mean_to");
+    let pairs = some_axes(&mut draw);
+    Proof::new("mean_to", pairs.into_iter().map(|(large, small)| Case::new(MeanTo(small), [draw.uniform(large, -2.0, 2.0)])))
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 //! A line with NaN gives NaN, and the position and the gradient are those of its first NaN.
 
 use super::extremum::{self, Extremum};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{Scalar, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -19,6 +20,32 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn min_axis(self, axis: usize) -> Extremum<'t, T> {
         extremum::record("min_axis", self, axis, -T::NEG_INFINITY, |x, best| x < best)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct MinAxis(usize);
+
+impl Twin for MinAxis {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].min_axis(self.0).values
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let better = |best: N, x: N| if x.value() < best.value() { x } else { best };
+        let extreme = |i| x[0].line(i, self.0).into_iter().reduce(better).expect("no empty line");
+        Plain::from_fn(x[0].shape.with_axis(self.0, 1), extreme)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("min_axis");
+    let mut cases = Vec::new();
+    for (i, shape) in shapes(&mut draw).into_iter().enumerate() {
+        let x = draw.distinct(shape);
+        let axes = if shape.len() > 500 { i % 4..i % 4 + 1 } else { 0..4 };
+        cases.extend(axes.map(|axis| Case::new(MinAxis(axis), [x.clone()])));
+    }
+    Proof::new("min_axis", cases)
 }
 
 #[cfg(test)]

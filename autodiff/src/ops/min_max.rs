@@ -5,6 +5,7 @@
 //! Sums are taken in `f64` in a fixed order. A constant tensor gives zeros. NaN anywhere spoils everything, as it hides the extremes.
 
 use super::kernel;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{GradSink, Scalar, Tensor, Var, par};
 
 /// The better of two entries; NaN where one of them is NaN.
@@ -73,6 +74,28 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct MinMax(f64);
+
+impl Twin for MinMax {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].min_max(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let (first, all) = (x[0].data[0], &x[0].data);
+        let (least, most) = (all.iter().fold(first, |m, &x| m.min(x)), all.iter().fold(first, |m, &x| m.max(x)));
+        x[0].map(|x| (x - least) / (most - least + N::constant(self.0)))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("min_max");
+    let shapes = shapes(&mut draw).into_iter().enumerate();
+    let eps = |i| if i % 2 == 0 { 0.25 } else { 1e-2 };
+    Proof::new("min_max", shapes.map(|(i, shape)| Case::new(MinMax(eps(i)), [draw.distinct(shape)])))
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! Keeps: each operand whose partner wants a gradient.
 
 use super::{binary, kernel};
+use crate::proof::{Draw, Number, Plain, Proof, Twin};
 use crate::shape::assert_same;
 use crate::{GradSink, Scalar, Tensor, Var};
 
@@ -44,6 +45,23 @@ impl<'t, T: Scalar> std::ops::Mul for Var<'t, T> {
     fn mul(self, other: Var<'t, T>) -> Var<'t, T> {
         Var::mul(self, other)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Mul;
+
+impl Twin for Mul {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].mul(v[1])
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].zip(&x[1], |a, b| a * b)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::binary("mul", Mul, |draw: &mut Draw, shape| [draw.uniform(shape, -2.0, 2.0), draw.uniform(shape, -2.0, 2.0)])
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! `y = -x`. Vector-Jacobian product: `-g`. Linear. Keeps: nothing.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -27,6 +28,23 @@ impl<'t, T: Scalar> std::ops::Neg for Var<'t, T> {
     fn neg(self) -> Var<'t, T> {
         Var::neg(self)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Neg;
+
+impl Twin for Neg {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].neg()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| -x)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("neg", Neg, [-2.0, 2.0], &[])
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! `y` = the axes in another order: axis `i` of the result is axis `order[i]` of the operand. Vector-Jacobian product: `g`
 //! in the inverse order. Linear. Keeps: nothing but sizes.
 
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{GradSink, Scalar, Shape, Tensor, Var, par};
 
 /// Writes `x`, of `shape`, with its axes in `order`; serves both directions.
@@ -57,6 +58,41 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Permute([usize; 4]);
+
+impl Twin for Permute {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].permute(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let shape = Shape(self.0.map(|axis| x[0].shape.0[axis]));
+        Plain::from_fn(shape, |to| {
+            let mut from = [0; 4];
+            for (i, axis) in self.0.into_iter().enumerate() {
+                from[axis] = to[i];
+            }
+            x[0].at(from)
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("permute");
+    let mut cases = Vec::new();
+    let orders = (0..256).map(|i| [i / 64, i / 16 % 4, i / 4 % 4, i % 4]);
+    for order in orders.filter(|order| (0..4).all(|axis| order.contains(&axis))) {
+        let shape = draw.shape([3, 4, 5, 6]);
+        cases.push(Case::new(Permute(order), [draw.uniform(shape, -2.0, 2.0)]));
+    }
+    for (i, shape) in shapes(&mut draw).into_iter().enumerate() {
+        let order = [[0, 2, 3, 1], [3, 2, 1, 0], [1, 0, 2, 3]][i % 3];
+        cases.push(Case::new(Permute(order), [draw.uniform(shape, -2.0, 2.0)]));
+    }
+    Proof::new("permute", cases)
 }
 
 #[cfg(test)]

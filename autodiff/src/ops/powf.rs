@@ -5,6 +5,7 @@
 //! whole number. NaN stays NaN, which is why the exponent 0 is refused.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], exponent: T, y: &mut [T]) {
@@ -33,6 +34,26 @@ impl<'t, T: Scalar> Var<'t, T> {
         );
         unary::keep_input("powf", self, |x, y| forward(x, power, y), move |x, g, out| backward(x, power, g, out))
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Powf(f64);
+
+impl Twin for Powf {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].powf(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| x.powf(self.0))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("powf", Powf(0.5), [0.2, 3.0], &[])
+        .and(Proof::unary("powf", Powf(2.0), [-2.0, 2.0], &[0.0]))
+        .and(Proof::unary("powf", Powf(-1.5), [0.3, 2.0], &[]))
+        .and(Proof::unary("powf", Powf(3.0), [0.2, 2.0], &[]))
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 //! a harmless constant first.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -21,6 +22,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn recip(self) -> Var<'t, T> {
         unary::keep_output("recip", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Recip;
+
+impl Twin for Recip {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].recip()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| N::one() / x)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("recip", Recip, [-2.0, 2.0], &[0.0])
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! NaN stays NaN, in the value and in the gradient.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -20,6 +21,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn relu(self) -> Var<'t, T> {
         unary::keep_output("relu", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Relu;
+
+impl Twin for Relu {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].relu()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| if x.value() > 0.0 { x } else { N::zero() })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("relu", Relu, [-2.0, 2.0], &[0.0])
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! `y` = the same elements, in row-major order, under another shape. Vector-Jacobian product: `g` under the old shape.
 //! Linear. Keeps: nothing; neither pass copies an element.
 
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{GradSink, Scalar, Shape, Tensor, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -18,6 +19,29 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Reshape(Shape);
+
+impl Twin for Reshape {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].reshape(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        Plain { shape: self.0, data: x[0].data.clone() }
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("reshape");
+    let shapes = shapes(&mut draw);
+    let case = |shape: Shape| {
+        let [n, c, h, w] = shape.0;
+        Case::new(Reshape(Shape::new(h, n * w, 1, c)), [draw.uniform(shape, -2.0, 2.0)])
+    };
+    Proof::new("reshape", shapes.into_iter().map(case).collect::<Vec<_>>())
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! `y = k x` with a constant `k`. Vector-Jacobian product: `k g`. Linear. Keeps: nothing.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], factor: T, y: &mut [T]) {
@@ -19,6 +20,23 @@ impl<'t, T: Scalar> Var<'t, T> {
         let factor = T::from_f64(factor);
         unary::keep_nothing("scale", self, |x, y| forward(x, factor, y), move |g, out| backward(g, factor, out))
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Scale(f64);
+
+impl Twin for Scale {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].scale(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| N::constant(self.0) * x)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("scale", Scale(-1.75), [-2.0, 2.0], &[]).and(Proof::unary("scale", Scale(0.25), [-2.0, 2.0], &[]))
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 //! *before* a hazardous operation (division, root, logarithm), not after it. A NaN in the mask counts as not 0.
 
 use super::kernel;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::shape::assert_same;
 use crate::{GradSink, Scalar, Tensor, Var};
 
@@ -45,6 +46,35 @@ impl<'t, T: Scalar> Var<'t, T> {
         };
         self.tape().push("select", y, &[self, other], record)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Select;
+
+impl Twin for Select {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].select(&v[2].value(), v[1])
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let chosen = x[0].shape;
+        Plain::from_fn(chosen, |i| if x[2].at(i).value() != 0.0 { x[0].at(i) } else { x[1].at(i) })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("select");
+    let mut cases = Vec::new();
+    for (i, shape) in shapes(&mut draw).into_iter().enumerate() {
+        let operands = [draw.uniform(shape, -2.0, 2.0), draw.uniform(shape, -2.0, 2.0), draw.whole(shape, 2)];
+        let case = Case::new(Select, operands).constant(2);
+        cases.push(match i {
+            6 => case.constant(0),
+            7 => case.constant(1),
+            _ => case,
+        });
+    }
+    Proof::new("select", cases)
 }
 
 #[cfg(test)]

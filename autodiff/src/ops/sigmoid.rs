@@ -3,6 +3,7 @@
 //! Computed from `e^(-|x|)`, so that no argument overflows: far out the value is 0 or 1 and the slope 0.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 /// The logistic function of one number.
@@ -28,6 +29,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn sigmoid(self) -> Var<'t, T> {
         unary::keep_output("sigmoid", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sigmoid;
+
+impl Twin for Sigmoid {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].sigmoid()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| N::one() / (N::one() + (-x).exp()))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("sigmoid", Sigmoid, [-4.0, 4.0], &[])
 }
 
 #[cfg(test)]

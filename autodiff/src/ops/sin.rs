@@ -1,6 +1,7 @@
 //! `y = sin x`, `x` in radians. Vector-Jacobian product: `g cos x`. No kinks. Keeps: the input.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -18,6 +19,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn sin(self) -> Var<'t, T> {
         unary::keep_input("sin", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sin;
+
+impl Twin for Sin {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].sin()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(N::sin)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("sin", Sin, [-4.0, 4.0], &[])
 }
 
 #[cfg(test)]

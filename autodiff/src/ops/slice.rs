@@ -3,6 +3,7 @@
 
 use super::blocks::{assert_axis, band};
 use super::kernel;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes, with};
 use crate::{GradSink, Scalar, Shape, Tensor, Var};
 
 fn forward<T: Scalar>(x: &[T], shape: Shape, axis: usize, start: usize, len: usize, y: &mut [T]) {
@@ -50,6 +51,37 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Slice {
+    axis: usize,
+    start: usize,
+    len: usize,
+}
+
+impl Twin for Slice {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].slice(self.axis, self.start, self.len)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let shape = x[0].shape.with_axis(self.axis, self.len);
+        Plain::from_fn(shape, |i| x[0].at(with(i, self.axis, i[self.axis] + self.start)))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("slice");
+    let mut cases = Vec::new();
+    for shape in shapes(&mut draw) {
+        for axis in 0..4 {
+            let start = draw.size(0, shape.0[axis] - 1);
+            let len = draw.size(1, shape.0[axis] - start);
+            cases.push(Case::new(Slice { axis, start, len }, [draw.uniform(shape, -2.0, 2.0)]));
+        }
+    }
+    Proof::new("slice", cases)
 }
 
 #[cfg(test)]

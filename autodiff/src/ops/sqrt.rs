@@ -5,6 +5,7 @@
 //! argument first: `x.add_scalar(eps).sqrt()`, `x.clamp(eps, f64::INFINITY).sqrt()`, or `select` a positive constant.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -23,6 +24,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn sqrt(self) -> Var<'t, T> {
         unary::keep_output("sqrt", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sqrt;
+
+impl Twin for Sqrt {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].sqrt()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(N::sqrt)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("sqrt", Sqrt, [0.1, 3.0], &[])
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 //! `√floor` and no gradient. A negative argument counts as the floor. NaN stays NaN.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], floor: T, y: &mut [T]) {
@@ -33,6 +34,23 @@ impl<'t, T: Scalar> Var<'t, T> {
         );
         unary::keep_input("sqrt_guarded", self, |x, y| forward(x, guard, y), move |x, g, out| backward(x, guard, g, out))
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct SqrtGuarded(f64);
+
+impl Twin for SqrtGuarded {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].sqrt_guarded(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| x.max(N::constant(self.0)).sqrt())
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("sqrt_guarded", SqrtGuarded(0.25), [-1.0, 2.0], &[0.25])
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! `y = x²`. Vector-Jacobian product: `2 g x`. No kinks. Keeps: the input.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -18,6 +19,23 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn square(self) -> Var<'t, T> {
         unary::keep_input("square", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Square;
+
+impl Twin for Square {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].square()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(|x| x * x)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    Proof::unary("square", Square, [-2.0, 2.0], &[])
 }
 
 #[cfg(test)]

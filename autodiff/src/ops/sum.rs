@@ -3,6 +3,7 @@
 //! The sum is taken in `f64`, in pieces of fixed size that are added in order.
 
 use super::reduce;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{Scalar, Shape, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -12,6 +13,26 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn sum(self) -> Var<'t, T> {
         reduce::record("sum", self, Shape::SCALAR, 1.0)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sum;
+
+impl Twin for Sum {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].sum()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let to = Shape::SCALAR;
+        x[0].summed(to)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("sum");
+    let shapes = shapes(&mut draw);
+    Proof::new("sum", shapes.into_iter().map(|shape| Case::new(Sum, [draw.uniform(shape, -2.0, 2.0)])))
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! Linear. Keeps: nothing. Sums are taken in `f64` in a fixed order.
 
 use super::reduce;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{Scalar, Shape, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -12,6 +13,26 @@ impl<'t, T: Scalar> Var<'t, T> {
         let shape = self.shape();
         reduce::record("sum_chw", self, Shape::new(shape.n(), 1, 1, 1), 1.0)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct SumChw;
+
+impl Twin for SumChw {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].sum_chw()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let to = Shape::new(x[0].shape.n(), 1, 1, 1);
+        x[0].summed(to)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("sum_chw");
+    let shapes = shapes(&mut draw);
+    Proof::new("sum_chw", shapes.into_iter().map(|shape| Case::new(SumChw, [draw.uniform(shape, -2.0, 2.0)])))
 }
 
 #[cfg(test)]

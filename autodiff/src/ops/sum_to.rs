@@ -2,6 +2,7 @@
 //! Linear, the transpose of `broadcast_to`. Keeps: nothing. Sums are taken in `f64` in a fixed order.
 
 use super::reduce;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, some_axes};
 use crate::{Scalar, Shape, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -14,6 +15,25 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn sum_to(self, shape: Shape) -> Var<'t, T> {
         reduce::record("sum_to", self, shape, 1.0)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct SumTo(Shape);
+
+impl Twin for SumTo {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].sum_to(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].summed(self.0)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("sum_to");
+    let pairs = some_axes(&mut draw);
+    Proof::new("sum_to", pairs.into_iter().map(|(large, small)| Case::new(SumTo(small), [draw.uniform(large, -2.0, 2.0)])))
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! `y = tanh x`, in (-1, 1). Vector-Jacobian product: `g (1 - y²)`. No kinks. Keeps: the output.
 
 use super::{kernel, unary};
+use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
@@ -18,6 +19,24 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn tanh(self) -> Var<'t, T> {
         unary::keep_output("tanh", self, forward, backward)
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Tanh;
+
+impl Twin for Tanh {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].tanh()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].map(N::tanh)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    // The slope 1 - y² loses two digits at |x| = 3.
+    Proof::unary("tanh", Tanh, [-3.0, 3.0], &[]).single_bound(3e-5)
 }
 
 #[cfg(test)]

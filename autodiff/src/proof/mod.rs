@@ -34,7 +34,7 @@ pub use draw::{Draw, shapes, some_axes};
 pub use dual::{Dual, Number, total};
 pub(crate) use fault::Planted;
 pub use fault::{Fault, Mutation, mutations};
-pub use reference::{Plain, indices};
+pub use reference::{Plain, indices, with};
 
 /// The proofs of all operations of this crate, in the order of the index.
 pub fn all() -> Vec<Proof> {

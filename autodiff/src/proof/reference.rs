@@ -86,7 +86,7 @@ impl<N: Number> Plain<N> {
 }
 
 /// `index` with another position along one axis.
-pub(crate) fn with(index: [usize; 4], axis: usize, k: usize) -> [usize; 4] {
+pub fn with(index: [usize; 4], axis: usize, k: usize) -> [usize; 4] {
     let mut index = index;
     index[axis] = k;
     index
