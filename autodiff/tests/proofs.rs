@@ -1,5 +1,9 @@
 //! Every operation is proved, and every planted fault is caught.
 
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
 use dimode_autodiff::proof::{Fault, all, mutations};
 
 #[test]
@@ -19,4 +23,22 @@ fn every_planted_fault_is_caught() {
             assert!(m.fault == Fault::Swap || !m.is_void(), "nothing to spoil: {m:?}");
         }
     }
+}
+
+#[test]
+fn every_operation_of_the_index_has_a_proof() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/ops");
+    let mut methods = BTreeSet::new();
+    for file in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).filter(|p| p.extension().is_some()) {
+        let text = fs::read_to_string(file).unwrap();
+        let operations = text.split("\nimpl<'t, T: Scalar> Var<'t, T> {").skip(1);
+        for block in operations.map(|rest| rest.split("\n}\n").next().unwrap()) {
+            let names = block.split("\n    pub fn ").skip(1).map(|rest| rest.split('(').next().unwrap().to_string());
+            methods.extend(names);
+        }
+    }
+    assert!(methods.contains("conv2d") && methods.contains("abs"), "{methods:?}");
+    let proved: BTreeSet<String> = all().iter().map(|proof| proof.op().to_string()).collect();
+    let missing: Vec<_> = methods.difference(&proved).collect();
+    assert!(missing.is_empty(), "operations without a proof: {missing:?}");
 }

@@ -4,7 +4,8 @@
 //! vjp: g/k^2 to every covered element.  Kinks: none, the op is linear.  Keeps: nothing.
 
 use super::planes::{Window, add_row, add_scaled_row, for_each_plane};
-use crate::{Scalar, Var};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, total};
+use crate::{Scalar, Shape, Var};
 
 /// Two by two windows side by side: the pyramid of a correlation volume, worth its own loop.
 fn forward_halves<T: Scalar>(x: &[T], y: &mut [T], window: Window) {
@@ -97,6 +98,58 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct AvgPool2d {
+    kernel: usize,
+    stride: usize,
+    padding: usize,
+}
+
+impl Twin for AvgPool2d {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].avg_pool2d(self.kernel, self.stride, self.padding)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let (x, k) = (&x[0], self.kernel);
+        let size = |len: usize| (len + 2 * self.padding - k) / self.stride + 1;
+        Plain::from_fn(x.shape.with_plane(size(x.shape.h()), size(x.shape.w())), |[n, c, i, j]| {
+            let at = |first: usize, step| (first * self.stride + step) as isize - self.padding as isize;
+            let places = (0..k * k).map(|t| (at(i, t / k), at(j, t % k)));
+            total(places.map(|(h, w)| x.or_zero(n, c, h, w))) / N::constant((k * k) as f64)
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("avg_pool2d");
+    let mut cases = Vec::new();
+    for (kernel, stride, padding) in [
+        (1, 1, 0),
+        (2, 2, 0),
+        (2, 2, 1),
+        (2, 1, 0),
+        (3, 1, 1),
+        (3, 2, 1),
+        (3, 2, 0),
+        (3, 3, 0),
+        (2, 3, 1),
+        (5, 2, 2),
+        (4, 3, 2),
+        (1, 2, 0),
+    ] {
+        let least = kernel - padding.min(kernel - 1);
+        for most in [0, 1, 4, 6] {
+            let [n, c] = [draw.size(1, 2), draw.size(1, 3)];
+            let shape = Shape::new(n, c, least + draw.size(0, most), least + draw.size(0, most));
+            cases.push(Case::new(AvgPool2d { kernel, stride, padding }, [draw.uniform(shape, -1.0, 1.0)]));
+        }
+    }
+    cases.push(Case::new(AvgPool2d { kernel: 3, stride: 2, padding: 1 }, [draw.uniform(Shape::new(2, 3, 11, 31), -1.0, 1.0)]));
+    cases.push(Case::new(AvgPool2d { kernel: 2, stride: 2, padding: 0 }, [draw.uniform(Shape::new(2, 3, 10, 34), -1.0, 1.0)]));
+    Proof::new("avg_pool2d", cases)
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 
 use super::instance_norm::{denormalise, moments, normalise};
 use super::planes::sum_and_moment;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{GradSink, Scalar, Shape, Tensor, Var, par};
 
 /// What [`Var::batch_norm_train`] returns: the output and the statistics of the batch for the running averages.
@@ -182,6 +183,64 @@ impl<'t, T: Scalar> Var<'t, T> {
         let saved = Saved { x: self.value(), gamma: gamma.value(), statistics, batch: false };
         self.tape().push("batch_norm_eval", y, &parents, move |g, grads| saved.backward(g, grads))
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct BatchNormTrain(f64);
+
+impl Twin for BatchNormTrain {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].batch_norm_train(v[1], v[2], self.0).y
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let standard = x[0].standardised(Shape::new(1, x[0].shape.c(), 1, 1), self.0);
+        Plain::from_fn(x[0].shape, |i| x[1].repeated(i) * standard.at(i) + x[2].repeated(i))
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct BatchNormEval(f64);
+
+impl Twin for BatchNormEval {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].batch_norm_eval(v[1], v[2], &v[3].value(), &v[4].value(), self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        Plain::from_fn(x[0].shape, |i| {
+            let deviation = (x[4].repeated(i) + N::constant(self.0)).sqrt();
+            x[1].repeated(i) * (x[0].at(i) - x[3].repeated(i)) / deviation + x[2].repeated(i)
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("batch_norm_train");
+    let mut cases = Vec::new();
+    let several = |shape: &Shape| shape.n() * shape.plane() > 1;
+    let more = [Shape::new(5, 3, 1, 1), Shape::new(2, 4, 3, 1), Shape::new(1, 2, 2, 5), Shape::new(3, 1, 2, 2)];
+    for (i, shape) in more.into_iter().chain(shapes(&mut draw).into_iter().filter(several)).enumerate() {
+        let eps = if shape.n() * shape.plane() > 4 { 1e-5 } else { 0.1 };
+        let vector = Shape::new(1, shape.c(), 1, 1);
+        let case = Case::new(BatchNormTrain(eps), [draw.uniform(shape, -2.0, 3.0), draw.weights(vector), draw.weights(vector)]);
+        cases.push(if (1..4).contains(&i) { case.constant(i - 1) } else { case });
+    }
+    Proof::new("batch_norm_train", cases)
+}
+
+pub(crate) fn eval_proof() -> Proof {
+    let mut draw = Draw::new("batch_norm_eval");
+    let mut cases = Vec::new();
+    for (i, shape) in shapes(&mut draw).into_iter().enumerate() {
+        let vector = Shape::new(1, shape.c(), 1, 1);
+        let statistics = [draw.uniform(vector, -1.0, 1.0), draw.uniform(vector, 0.2, 3.0)];
+        let [mean, var] = statistics;
+        let inputs = [draw.uniform(shape, -2.0, 3.0), draw.weights(vector), draw.weights(vector), mean, var];
+        let case = Case::new(BatchNormEval(1e-5), inputs).constant(3).constant(4);
+        cases.push(if (7..10).contains(&i) { case.constant(i - 7) } else { case });
+    }
+    Proof::new("batch_norm_eval", cases)
 }
 
 #[cfg(test)]

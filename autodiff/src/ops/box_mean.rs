@@ -9,7 +9,8 @@
 
 use super::pad::{Edge, fill_ends, fold_ends};
 use super::planes::{add_row, for_each_plane};
-use crate::{Scalar, Var};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, total};
+use crate::{Scalar, Shape, Var};
 
 /// `out[i] = sum_{d < k} x[i + d]`; `x` has `k - 1` elements more than `out`.
 #[inline(always)]
@@ -114,6 +115,41 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct BoxMean(usize);
+
+impl Twin for BoxMean {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].box_mean(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let (x, k) = (&x[0], self.0);
+        let mirrored = |i: usize, size: usize| {
+            let i = (i as isize - (k / 2) as isize).unsigned_abs();
+            if i >= size { 2 * (size - 1) - i } else { i }
+        };
+        Plain::from_fn(x.shape, |[n, c, i, j]| {
+            let at = |t: usize| x.at([n, c, mirrored(i + t / k, x.shape.h()), mirrored(j + t % k, x.shape.w())]);
+            total((0..k * k).map(at)) / N::constant((k * k) as f64)
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("box_mean");
+    let mut cases = Vec::new();
+    for k in [1, 3, 5, 7] {
+        for most in [0, 1, 3, 7] {
+            let [n, c] = [draw.size(1, 2), draw.size(1, 3)];
+            let shape = Shape::new(n, c, k / 2 + 1 + draw.size(0, most), k / 2 + 1 + draw.size(0, most));
+            cases.push(Case::new(BoxMean(k), [draw.uniform(shape, -1.0, 1.0)]));
+        }
+    }
+    cases.push(Case::new(BoxMean(3), [draw.uniform(Shape::new(2, 3, 11, 31), -1.0, 1.0)]));
+    Proof::new("box_mean", cases)
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 //! Kinks: none.  Keeps: the field and the weights m.
 
 use super::planes::{add_row, for_each_plane};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, total};
 use crate::{Scalar, Shape, Var, par};
 
 /// Plane size and factor.
@@ -216,6 +217,42 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct ConvexUpsample(usize);
+
+impl Twin for ConvexUpsample {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].convex_upsample(v[1], self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let (field, logits, f) = (&x[0], &x[1], self.0);
+        let to = field.shape.with_plane(f * field.shape.h(), f * field.shape.w());
+        Plain::from_fn(to, |[n, c, row, column]| {
+            let (i, j, sub) = (row / f, column / f, row % f * f + column % f);
+            let weight = |k: usize| logits.at([n, k * f * f + sub, i, j]).exp();
+            let near = |k: usize| field.or_zero(n, c, (i + k / 3) as isize - 1, (j + k % 3) as isize - 1);
+            let all = total((0..9).map(weight));
+            total((0..9).map(|k| weight(k) / all * near(k))) * N::constant(f as f64)
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("convex_upsample");
+    let mut cases = Vec::new();
+    let sizes =
+        [([1, 1, 1, 1], 1), ([1, 2, 2, 3], 2), ([2, 1, 3, 1], 3), ([1, 3, 1, 4], 2), ([2, 2, 2, 2], 1), ([1, 2, 3, 2], 4)];
+    let more = [([1, 2, 2, 3], 2), ([1, 1, 3, 2], 2), ([1, 2, 5, 7], 2), ([1, 1, 2, 1], 8)];
+    for (i, (shape, factor)) in sizes.into_iter().chain(more).enumerate() {
+        let shape = Shape(shape);
+        let logits = draw.uniform(shape.with_c(9 * factor * factor), -2.0, 2.0);
+        let case = Case::new(ConvexUpsample(factor), [draw.uniform(shape, -1.0, 1.0), logits]);
+        cases.push(if (6..8).contains(&i) { case.constant(i - 6) } else { case });
+    }
+    Proof::new("convex_upsample", cases)
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 //! one needs its gradient.
 
 use crate::gemm::View;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, total};
 use crate::{Scalar, Shape, Tensor, Var, par};
 
 /// Rows of the volume that one product computes.
@@ -103,6 +104,46 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Correlation;
+
+impl Twin for Correlation {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].correlation(v[1])
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let [n, c, h, w] = x[0].shape.0;
+        let to = Shape::new(n * h * w, 1, x[1].shape.h(), x[1].shape.w());
+        Plain::from_fn(to, |[pixel, _, i, j]| {
+            let (n, y, z) = (pixel / (h * w), pixel / w % h, pixel % w);
+            total((0..c).map(|c| x[0].at([n, c, y, z]) * x[1].at([n, c, i, j]))) / N::constant(c as f64).sqrt()
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("correlation");
+    let mut cases = Vec::new();
+    let sizes = [
+        ([1, 1, 1, 1], [1, 1]),
+        ([2, 3, 3, 4], [3, 4]),
+        ([1, 5, 2, 3], [4, 1]),
+        ([3, 2, 1, 5], [2, 2]),
+        ([1, 17, 3, 2], [1, 7]),
+        ([2, 2, 2, 3], [3, 2]),
+        ([2, 4, 3, 2], [2, 5]),
+        ([1, 2, 7, 11], [3, 5]),
+        ([2, 2, 13, 7], [3, 3]),
+    ];
+    for (i, (shape, [h, w])) in sizes.into_iter().enumerate() {
+        let first = Shape(shape);
+        let case = Case::new(Correlation, [draw.uniform(first, -1.0, 1.0), draw.uniform(first.with_plane(h, w), -1.0, 1.0)]);
+        cases.push(if (5..7).contains(&i) { case.constant(i - 5) } else { case });
+    }
+    Proof::new("correlation", cases)
 }
 
 #[cfg(test)]

@@ -8,7 +8,8 @@
 //! Coordinates that are NaN give NaN in the whole window and pass no gradient.
 
 use super::lookup_window::{Corner, Level, Scratch};
-use crate::{Scalar, Shape, Var, par};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
+use crate::{Scalar, Shape, Tensor, Var, par};
 
 /// Pixels of the first map that one block handles together, so that writes run along rows of the output.
 const BLOCK: usize = 16;
@@ -127,6 +128,62 @@ fn backward_level<'a, T: Scalar>(
         let (g, coords) = operands(n);
         backward_block(level, g, coords, block * 4 * BLOCK, planes);
     });
+}
+
+#[derive(Clone, Copy, Debug)]
+struct CorrelationLookup(usize);
+
+impl Twin for CorrelationLookup {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        let (coords, pyramid) = v.split_first().expect("coordinates first");
+        Var::correlation_lookup(pyramid, *coords, self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let (coords, pyramid, side) = (&x[0], &x[1..], 2 * self.0 + 1);
+        let [samples, _, height, width] = coords.shape.0;
+        Plain::from_fn(Shape::new(samples, pyramid.len() * side * side, height, width), |[n, channel, h, w]| {
+            let (level, i, j) = (channel / (side * side), channel / side % side, channel % side);
+            let plane = (n * height + h) * width + w;
+            let scale = N::constant(0.5_f64.powi(level as i32));
+            let shifted = |axis, k: usize| coords.at([n, axis, h, w]) * scale + N::constant(k as f64 - self.0 as f64);
+            let (u, v) = (shifted(0, i), shifted(1, j));
+            let (left, up) = (u.floor().value() as isize, v.floor().value() as isize);
+            let (a, b) = (u - u.floor(), v - v.floor());
+            let row = |y| {
+                let at = |x| pyramid[level].or_zero(plane, 0, y, x);
+                (N::one() - a) * at(left) + a * at(left + 1)
+            };
+            (N::one() - b) * row(up) + b * row(up + 1)
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("correlation_lookup");
+    let mut cases = Vec::new();
+    let sizes: [([usize; 3], &[[usize; 2]], usize); 8] = [
+        ([1, 1, 1], &[[1, 1]], 0),
+        ([1, 2, 3], &[[4, 5]], 1),
+        ([2, 1, 3], &[[3, 4], [2, 2]], 1),
+        ([1, 3, 2], &[[5, 3], [2, 1], [1, 1]], 2),
+        ([2, 2, 2], &[[1, 6]], 0),
+        ([1, 1, 4], &[[7, 6], [3, 3]], 3),
+        ([1, 2, 2], &[[3, 3], [2, 2]], 1),
+        ([1, 5, 7], &[[7, 8]], 1),
+    ];
+    for (i, ([n, h, w], levels, radius)) in sizes.into_iter().enumerate() {
+        let [rows, columns] = levels[0].map(|size| size as f64);
+        let (us, vs) =
+            (draw.uniform(Shape::new(n, 1, h, w), -1.5, columns + 0.5), draw.uniform(Shape::new(n, 1, h, w), -1.5, rows + 0.5));
+        let coords =
+            Tensor::from_fn(Shape::new(n, 2, h, w), |n, c, h, w| if c == 0 { us.at(n, 0, h, w) } else { vs.at(n, 0, h, w) });
+        let mut inputs = vec![coords];
+        inputs.extend(levels.iter().map(|&[rows, columns]| draw.uniform(Shape::new(n * h * w, 1, rows, columns), -1.0, 1.0)));
+        let case = Case::new(CorrelationLookup(radius), inputs).constant(0);
+        cases.push(if i == 6 { case.constant(1) } else { case });
+    }
+    Proof::new("correlation_lookup", cases)
 }
 
 #[cfg(test)]

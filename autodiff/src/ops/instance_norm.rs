@@ -5,6 +5,7 @@
 //! A plane of one element, or a constant one, gives zeros and passes a gradient of (g - mean g) / sqrt(eps).
 
 use super::planes::{for_each_plane, sum_and_moment, sum_map};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{Scalar, Var, par};
 
 /// Mean and biased variance of a sequence of equally long slices.
@@ -86,6 +87,29 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct InstanceNorm(f64);
+
+impl Twin for InstanceNorm {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].instance_norm(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        x[0].standardised(x[0].shape.with_plane(1, 1), self.0)
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("instance_norm");
+    let mut cases = Vec::new();
+    for shape in shapes(&mut draw) {
+        let eps = if shape.plane() > 4 { 1e-5 } else { 0.1 };
+        cases.push(Case::new(InstanceNorm(eps), [draw.uniform(shape, -2.0, 3.0)]));
+    }
+    Proof::new("instance_norm", cases)
 }
 
 #[cfg(test)]

@@ -6,7 +6,8 @@
 
 use super::axis::{Lines, rounded};
 use super::blocks::assert_axis;
-use crate::{GradSink, Scalar, Tensor, Var};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
+use crate::{GradSink, Scalar, Shape, Tensor, Var};
 
 /// Writes `y`, returns the lengths of the lines.
 fn forward<T: Scalar>(x: &[T], y: &mut [T], lines: Lines, eps: T) -> Vec<T> {
@@ -55,6 +56,39 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct L2Normalise {
+    axis: usize,
+    eps: f64,
+}
+
+impl Twin for L2Normalise {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].l2_normalise(self.axis, self.eps)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let squares = x[0].map(|x| x * x).summed(x[0].shape.with_axis(self.axis, 1));
+        Plain::from_fn(x[0].shape, |i| x[0].at(i) / squares.repeated(i).sqrt().max(N::constant(self.eps)))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("l2_normalise");
+    let mut cases = Vec::new();
+    for (i, shape) in shapes(&mut draw).into_iter().enumerate() {
+        for axis in if shape.len() > 500 { i % 4..i % 4 + 1 } else { 0..4 } {
+            // A line of one entry has length 1 whatever the entry, so only the guard has a derivative there.
+            let eps = if shape.0[axis] == 1 || i % 5 == 4 { 10.0 } else { 1e-12 };
+            cases.push(Case::new(L2Normalise { axis, eps }, [draw.weights(shape)]));
+        }
+    }
+    // Lines on both sides of the guard: lengths from 0.7 to 2.1, none within 0.05 of it.
+    let lengths = Tensor::from_fn(Shape::new(2, 2, 3, 5), |n, _, h, w| [0.5, 0.9, 1.1, 1.5][(n + h + w) % 4]);
+    cases.push(Case::new(L2Normalise { axis: 1, eps: 1.4 }, [lengths]));
+    Proof::new("l2_normalise", cases)
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@
 //! Sums are taken in `f64` in a fixed order. A pixel with equal channels gives the shift. NaN spoils its pixel.
 
 use super::axis::{Lines, rounded};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{GradSink, Scalar, Shape, Tensor, Var, par};
 
 /// Mean and `1 / √(variance + eps)` of every line.
@@ -113,6 +114,33 @@ impl<'t, T: Scalar> Var<'t, T> {
         let saved = Saved { x, weight: scale, means, inverses, lines };
         self.tape().push("layer_norm", y, &[self, weight, bias], move |g, grads| saved.backward(g, grads))
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct LayerNorm(f64);
+
+impl Twin for LayerNorm {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].layer_norm(v[1], v[2], self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let standard = x[0].standardised(x[0].shape.with_c(1), self.0);
+        Plain::from_fn(x[0].shape, |i| x[1].repeated(i) * standard.at(i) + x[2].repeated(i))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("layer_norm");
+    let mut cases = Vec::new();
+    let more = [Shape::new(1, 9, 2, 3), Shape::new(2, 17, 3, 1), Shape::new(1, 8, 1, 5), Shape::new(2, 6, 2, 2)];
+    for (i, shape) in shapes(&mut draw).into_iter().chain(more).enumerate() {
+        let eps = if shape.c() > 4 { 1e-6 } else { 0.1 };
+        let vector = Shape::new(1, shape.c(), 1, 1);
+        let case = Case::new(LayerNorm(eps), [draw.uniform(shape, -2.0, 3.0), draw.weights(vector), draw.weights(vector)]);
+        cases.push(if i >= 13 { case.constant(i - 13) } else { case });
+    }
+    Proof::new("layer_norm", cases)
 }
 
 #[cfg(test)]

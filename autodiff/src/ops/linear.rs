@@ -7,6 +7,7 @@
 
 use super::reduce::reduce;
 use crate::gemm::View;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, total};
 use crate::{Scalar, Shape, Tensor, Var, par};
 
 /// Rows of one unit of work.
@@ -97,6 +98,53 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Linear;
+
+impl Twin for Linear {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].linear(v[1], v.get(2).copied())
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let [outputs, inputs] = [x[1].shape.h(), x[1].shape.w()];
+        Plain::from_fn(x[0].shape.with_axis(3, outputs), |[n, c, h, o]| {
+            let products = total((0..inputs).map(|i| x[0].at([n, c, h, i]) * x[1].at([0, 0, o, i])));
+            x.get(2).map_or(products, |bias| products + bias.at([0, o, 0, 0]))
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("linear");
+    let mut cases = Vec::new();
+    for (i, (shape, outputs)) in [
+        ([1, 1, 1, 1], 1),
+        ([2, 3, 4, 5], 3),
+        ([1, 1, 7, 2], 9),
+        ([3, 1, 1, 6], 4),
+        ([1, 2, 5, 1], 3),
+        ([2, 1, 3, 17], 5),
+        ([2, 2, 3, 4], 3),
+        ([1, 1, 1, 40], 7),
+        // Several units of rows.
+        ([2, 5, 67, 2], 3),
+        ([1, 1, 999, 2], 2),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        for bias in [false, true] {
+            let (shape, weight) = (Shape(shape), Shape::new(1, 1, outputs, shape[3]));
+            let mut inputs = vec![draw.uniform(shape, -1.0, 1.0), draw.uniform(weight, -1.0, 1.0)];
+            inputs.extend(bias.then(|| draw.uniform(Shape::new(1, outputs, 1, 1), -1.0, 1.0)));
+            let case = Case::new(Linear, inputs);
+            cases.push(if i == 6 { case.constant(usize::from(bias)) } else { case });
+        }
+    }
+    Proof::new("linear", cases)
 }
 
 #[cfg(test)]

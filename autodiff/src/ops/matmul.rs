@@ -6,6 +6,7 @@
 
 use super::reduce::span;
 use crate::gemm::View;
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, total};
 use crate::{Scalar, Shape, Var, par};
 
 /// Multiplications of one unit of work, below which matrices are grouped.
@@ -172,6 +173,86 @@ fn small<T: Scalar>(out: &mut [T], a: View<'_, T>, b: View<'_, T>, add: bool) {
             *o = if add { *o + sum } else { sum };
         }
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Product(MatMul);
+
+impl Twin for Product {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        if self.0 == MatMul::default() { v[0].matmul(v[1]) } else { v[0].matmul_with(v[1], self.0) }
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let MatMul { transpose_left, transpose_right, .. } = self.0;
+        let [left, right] = [&x[0], &x[1]];
+        let [n, c] = [left.shape.n().max(right.shape.n()), left.shape.c().max(right.shape.c())];
+        let (rows, inner) = if transpose_left { (left.shape.w(), left.shape.h()) } else { (left.shape.h(), left.shape.w()) };
+        let columns = if transpose_right { right.shape.h() } else { right.shape.w() };
+        let a = |n, c, i, k| left.at_plane(n, c, if transpose_left { [k, i] } else { [i, k] });
+        let b = |n, c, k, j| right.at_plane(n, c, if transpose_right { [j, k] } else { [k, j] });
+        Plain::from_fn(Shape::new(n, c, rows, columns), |[n, c, i, j]| total((0..inner).map(|k| a(n, c, i, k) * b(n, c, k, j))))
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Transpose;
+
+impl Twin for Transpose {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].transpose_hw()
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let [n, c, h, w] = x[0].shape.0;
+        Plain::from_fn(Shape::new(n, c, w, h), |[n, c, i, j]| x[0].at([n, c, j, i]))
+    }
+}
+
+fn product(draw: &mut Draw, attributes: MatMul, leading: [[usize; 2]; 2], [m, k, p]: [usize; 3]) -> Case {
+    let planes = |[n, c]: [usize; 2], turned: bool, h: usize, w: usize| {
+        if turned { Shape::new(n, c, w, h) } else { Shape::new(n, c, h, w) }
+    };
+    let left = planes(leading[0], attributes.transpose_left, m, k);
+    let right = planes(leading[1], attributes.transpose_right, k, p);
+    Case::new(Product(attributes), [draw.uniform(left, -1.0, 1.0), draw.uniform(right, -1.0, 1.0)])
+}
+
+/// Small and large, thin and square matrices.
+const SIZES: [[usize; 3]; 10] =
+    [[1, 1, 1], [3, 3, 3], [4, 4, 1], [1, 5, 7], [2, 1, 3], [5, 3, 1], [9, 11, 6], [3, 17, 2], [16, 3, 13], [7, 20, 9]];
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("matmul");
+    let mut cases = Vec::new();
+    for (i, sizes) in SIZES.into_iter().enumerate() {
+        for leading in [[1, 1], [2, 3], [3, 1]] {
+            let case = product(&mut draw, MatMul::default(), [leading; 2], sizes);
+            cases.push(if leading == [3, 1] && i < 4 { case.constant(i % 2) } else { case });
+        }
+    }
+    cases.push(product(&mut draw, MatMul::default(), [[1, 1]; 2], [43, 41, 45]));
+    Proof::new("matmul", cases)
+}
+
+pub(crate) fn attributes_proof() -> Proof {
+    let mut draw = Draw::new("matmul_with");
+    let mut cases = Vec::new();
+    let turns = [[false, true], [true, false], [true, true], [false, false]];
+    for (i, sizes) in SIZES.into_iter().enumerate() {
+        for [transpose_left, transpose_right] in turns {
+            let attributes = MatMul { transpose_left, transpose_right, broadcast: false };
+            cases.push(product(&mut draw, attributes, [[1 + i % 2, 1 + i % 3]; 2], sizes));
+            let attributes = MatMul { broadcast: true, ..attributes };
+            let leading = [[[1, 1], [2, 3]], [[2, 3], [1, 1]], [[2, 1], [1, 3]], [[1, 3], [2, 3]], [[2, 3], [2, 1]]][i % 5];
+            cases.push(product(&mut draw, attributes, leading, sizes));
+        }
+    }
+    Proof::new("matmul_with", cases)
+}
+
+pub(crate) fn transpose_proof() -> Proof {
+    Proof::unary("transpose_hw", Transpose, [-1.0, 1.0], &[])
 }
 
 #[cfg(test)]

@@ -6,7 +6,8 @@
 //! A NaN in the window gives NaN, and the gradient goes to the first NaN.
 
 use super::planes::{Window, for_each_plane};
-use crate::{Scalar, Var};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
+use crate::{Scalar, Shape, Var};
 
 /// The larger value; NaN where one of the two is NaN.
 #[inline(always)]
@@ -89,6 +90,59 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct MaxPool2d {
+    kernel: usize,
+    stride: usize,
+    padding: usize,
+}
+
+impl Twin for MaxPool2d {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].max_pool2d(self.kernel, self.stride, self.padding)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let (x, k) = (&x[0], self.kernel);
+        let size = |len: usize| (len + 2 * self.padding - k) / self.stride + 1;
+        Plain::from_fn(x.shape.with_plane(size(x.shape.h()), size(x.shape.w())), |[n, c, i, j]| {
+            let at = |first: usize, step| (first * self.stride + step) as isize - self.padding as isize;
+            let places = (0..k * k).map(|t| (at(i, t / k), at(j, t % k)));
+            let inside = places.filter(|&(h, w)| h >= 0 && w >= 0 && h < x.shape.h() as isize && w < x.shape.w() as isize);
+            inside.map(|(h, w)| x.or_zero(n, c, h, w)).reduce(N::max).expect("every window meets the plane")
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("max_pool2d");
+    let mut cases = Vec::new();
+    for (kernel, stride, padding) in [
+        (1, 1, 0),
+        (2, 2, 0),
+        (2, 2, 1),
+        (2, 1, 0),
+        (3, 1, 1),
+        (3, 2, 1),
+        (3, 2, 0),
+        (3, 3, 0),
+        (2, 3, 1),
+        (5, 2, 2),
+        (4, 3, 2),
+        (1, 2, 0),
+    ] {
+        let least = kernel - padding.min(kernel - 1);
+        for most in [0, 1, 4, 6] {
+            let [n, c] = [draw.size(1, 2), draw.size(1, 3)];
+            let shape = Shape::new(n, c, least + draw.size(0, most), least + draw.size(0, most));
+            cases.push(Case::new(MaxPool2d { kernel, stride, padding }, [draw.distinct(shape)]));
+        }
+    }
+    cases.push(Case::new(MaxPool2d { kernel: 3, stride: 2, padding: 1 }, [draw.distinct(Shape::new(2, 3, 11, 31))]));
+    cases.push(Case::new(MaxPool2d { kernel: 2, stride: 2, padding: 0 }, [draw.distinct(Shape::new(2, 3, 10, 34))]));
+    Proof::new("max_pool2d", cases)
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 //! the recording.
 
 use super::planes::{add_row, for_each_plane};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{Scalar, Shape, Var};
 
 /// Rows and columns added on each side of every plane.
@@ -135,6 +136,57 @@ pub(crate) fn record<'t, T: Scalar>(
             });
         }
     })
+}
+
+/// Twin of the three paddings; no edge means zeros.
+#[derive(Clone, Copy, Debug)]
+struct Padding {
+    edge: Option<Edge>,
+    sides: Sides,
+}
+
+impl Twin for Padding {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        match self.edge {
+            None => v[0].pad_zero(self.sides),
+            Some(Edge::Reflect) => v[0].pad_reflect(self.sides),
+            Some(Edge::Replicate) => v[0].pad_replicate(self.sides),
+        }
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let Sides { top, bottom, left, right } = self.sides;
+        let [n, c, height, width] = x[0].shape.0;
+        let place = |i: usize, before: usize, size: usize| {
+            let (i, last) = (i as isize - before as isize, size as isize - 1);
+            match self.edge {
+                None => i,
+                Some(Edge::Replicate) => i.clamp(0, last),
+                Some(Edge::Reflect) if i > last => 2 * last - i,
+                Some(Edge::Reflect) => i.abs(),
+            }
+        };
+        Plain::from_fn(Shape::new(n, c, height + top + bottom, width + left + right), |[n, c, h, w]| {
+            x[0].or_zero(n, c, place(h, top, height), place(w, left, width))
+        })
+    }
+}
+
+/// The proof of a padding, with amounts that the rule allows.
+pub(crate) fn proof_of(op: &'static str, edge: Option<Edge>) -> Proof {
+    let mut draw = Draw::new(op);
+    let mut cases = Vec::new();
+    for (i, shape) in shapes(&mut draw).into_iter().chain([Shape::new(1, 2, 2, 3), Shape::new(2, 1, 4, 2)]).enumerate() {
+        let most = |size: usize| if edge == Some(Edge::Reflect) { size - 1 } else { size + 2 };
+        let (rows, columns) = (most(shape.h()).min(4), most(shape.w()).min(4));
+        let mut side = |most| draw.size(0, most);
+        let sides = match i {
+            5 => Sides { top: rows, bottom: rows, left: columns, right: columns },
+            _ => Sides { top: side(rows), bottom: side(rows), left: side(columns), right: side(columns) },
+        };
+        cases.push(Case::new(Padding { edge, sides }, [draw.uniform(shape, -1.0, 1.0)]));
+    }
+    Proof::new(op, cases)
 }
 
 /// Helpers of the tests of the paddings.

@@ -4,6 +4,7 @@
 //! Vector-Jacobian product: the transposed gather, `gx[r(i - top), r(j - left)] += g[i, j]`. Linear. Keeps: nothing.
 
 use super::pad::{self, Edge, Sides};
+use crate::proof::Proof;
 use crate::{Scalar, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -24,6 +25,10 @@ impl<'t, T: Scalar> Var<'t, T> {
         );
         pad::record_edge("pad_reflect", self, sides, Edge::Reflect)
     }
+}
+
+pub(crate) fn proof() -> Proof {
+    pad::proof_of("pad_reflect", Some(Edge::Reflect))
 }
 
 #[cfg(test)]

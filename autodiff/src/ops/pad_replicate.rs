@@ -4,6 +4,7 @@
 //! Vector-Jacobian product: the transposed gather, `gx[r(i - top), r(j - left)] += g[i, j]`. Linear. Keeps: nothing.
 
 use super::pad::{self, Edge, Sides};
+use crate::proof::Proof;
 use crate::{Scalar, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -20,6 +21,10 @@ impl<'t, T: Scalar> Var<'t, T> {
         assert!(shape.plane() > 0, "pad_replicate: input {shape}; the rule: planes must not be empty");
         pad::record_edge("pad_replicate", self, sides.into(), Edge::Replicate)
     }
+}
+
+pub(crate) fn proof() -> Proof {
+    pad::proof_of("pad_replicate", Some(Edge::Replicate))
 }
 
 #[cfg(test)]

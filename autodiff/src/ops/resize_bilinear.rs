@@ -10,7 +10,8 @@
 use std::sync::Arc;
 
 use super::planes::{add_scaled_row, for_each_plane};
-use crate::{Scalar, Var};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
+use crate::{Scalar, Shape, Var};
 
 /// The two neighbours of one output position and their weights.
 #[derive(Clone, Copy, Debug)]
@@ -111,6 +112,62 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct ResizeBilinear {
+    height: usize,
+    width: usize,
+    align_corners: bool,
+}
+
+impl Twin for ResizeBilinear {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].resize_bilinear(self.height, self.width, self.align_corners)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let x = &x[0];
+        let spot = |i: usize, from: usize, to: usize| {
+            let at = match self.align_corners {
+                true => i as f64 * (from as f64 - 1.0) / (to as f64 - 1.0).max(1.0),
+                false => ((i as f64 + 0.5) * from as f64 / to as f64 - 0.5).max(0.0),
+            };
+            let first = (at as usize).min(from - 1);
+            (first, (first + 1).min(from - 1), N::constant(at - first as f64))
+        };
+        Plain::from_fn(x.shape.with_plane(self.height, self.width), |[n, c, i, j]| {
+            let (up, down, b) = spot(i, x.shape.h(), self.height);
+            let (left, right, a) = spot(j, x.shape.w(), self.width);
+            let row = |h| (N::one() - a) * x.at([n, c, h, left]) + a * x.at([n, c, h, right]);
+            (N::one() - b) * row(up) + b * row(down)
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("resize_bilinear");
+    let mut cases = Vec::new();
+    let sizes = [
+        ([1, 1, 1, 1], [1, 1]),
+        ([1, 1, 1, 1], [3, 2]),
+        ([2, 3, 5, 4], [1, 1]),
+        ([1, 2, 3, 4], [6, 8]),
+        ([1, 2, 6, 8], [3, 4]),
+        ([2, 1, 5, 7], [5, 7]),
+        ([1, 1, 1, 6], [4, 9]),
+        ([3, 2, 4, 1], [7, 1]),
+        ([1, 2, 7, 5], [3, 11]),
+        ([2, 2, 3, 2], [10, 5]),
+        ([2, 3, 11, 31], [9, 20]),
+        ([1, 1, 5, 4], [37, 31]),
+    ];
+    for (shape, [height, width]) in sizes {
+        for align_corners in [false, true] {
+            cases.push(Case::new(ResizeBilinear { height, width, align_corners }, [draw.uniform(Shape(shape), -1.0, 1.0)]));
+        }
+    }
+    Proof::new("resize_bilinear", cases)
 }
 
 #[cfg(test)]

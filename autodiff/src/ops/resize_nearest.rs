@@ -6,7 +6,8 @@
 use std::sync::Arc;
 
 use super::planes::for_each_plane;
-use crate::{Scalar, Var};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
+use crate::{Scalar, Shape, Var};
 
 /// The element that each of `out` positions takes from an axis of `size`.
 fn sources(size: usize, out: usize) -> Vec<usize> {
@@ -72,6 +73,45 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct ResizeNearest {
+    height: usize,
+    width: usize,
+}
+
+impl Twin for ResizeNearest {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].resize_nearest(self.height, self.width)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let from = x[0].shape;
+        Plain::from_fn(from.with_plane(self.height, self.width), |[n, c, i, j]| {
+            x[0].at([n, c, i * from.h() / self.height, j * from.w() / self.width])
+        })
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("resize_nearest");
+    let sizes = [
+        ([1, 1, 1, 1], [1, 1]),
+        ([1, 1, 1, 1], [3, 2]),
+        ([2, 3, 5, 4], [1, 1]),
+        ([1, 2, 3, 4], [6, 8]),
+        ([1, 2, 6, 8], [3, 4]),
+        ([1, 1, 1, 6], [4, 9]),
+        ([3, 2, 4, 1], [7, 1]),
+        ([1, 2, 7, 5], [3, 11]),
+        ([2, 2, 3, 2], [10, 5]),
+        ([2, 3, 11, 31], [9, 40]),
+    ];
+    let case = |(shape, [height, width]): ([usize; 4], [usize; 2])| {
+        Case::new(ResizeNearest { height, width }, [draw.uniform(Shape(shape), -1.0, 1.0)])
+    };
+    Proof::new("resize_nearest", sizes.map(case))
 }
 
 #[cfg(test)]

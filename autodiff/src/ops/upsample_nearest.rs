@@ -4,6 +4,7 @@
 //! vjp: the sum of g over the block.  Kinks: none, the op is linear.  Keeps: nothing.
 
 use super::planes::{add_row, for_each_plane};
+use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{Scalar, Var};
 
 /// Writes every element `factor` times; twice, the usual case, in a loop of its own.
@@ -83,6 +84,31 @@ impl<'t, T: Scalar> Var<'t, T> {
             }
         })
     }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct UpsampleNearest(usize);
+
+impl Twin for UpsampleNearest {
+    fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
+        v[0].upsample_nearest(self.0)
+    }
+
+    fn plain<N: Number>(&self, x: &[Plain<N>]) -> Plain<N> {
+        let (x, r) = (&x[0], self.0);
+        Plain::from_fn(x.shape.with_plane(r * x.shape.h(), r * x.shape.w()), |[n, c, i, j]| x.at([n, c, i / r, j / r]))
+    }
+}
+
+pub(crate) fn proof() -> Proof {
+    let mut draw = Draw::new("upsample_nearest");
+    let mut cases = Vec::new();
+    for shape in shapes(&mut draw) {
+        for factor in if shape.len() > 500 { 2..3 } else { 1..5 } {
+            cases.push(Case::new(UpsampleNearest(factor), [draw.uniform(shape, -1.0, 1.0)]));
+        }
+    }
+    Proof::new("upsample_nearest", cases)
 }
 
 #[cfg(test)]

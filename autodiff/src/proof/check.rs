@@ -122,7 +122,7 @@ impl Case {
         let expected = Expected::new(self);
         let (value, gradients) = self.gradients::<f64>(&self.inputs, &expected.weights[0], None);
         let differences = (self.entries() <= MOST_DIFFERENCES).then(|| self.differences(None));
-        let (single_value, single_gradient) = self.single_errors(&expected.weights[0]);
+        let (single_value, single_gradient) = self.single_errors(&expected);
         let again = self.gradients::<f64>(&self.inputs, &expected.weights[1], None).1;
         Errors {
             value: expected.value_error(&value),
@@ -192,18 +192,16 @@ impl Case {
     }
 
     /// Errors of value and gradient in `f32` against `f64` at the inputs that `f32` can hold.
-    fn single_errors(&self, weights: &Tensor<f64>) -> (f64, f64) {
+    fn single_errors(&self, expected: &Expected) -> (f64, f64) {
         let inputs: Vec<Tensor<f32>> = self.inputs.iter().map(Tensor::cast).collect();
         let held: Vec<Tensor<f64>> = inputs.iter().map(Tensor::cast).collect();
-        let weights: Tensor<f32> = weights.cast();
+        let weights: Tensor<f32> = expected.weights[0].cast();
         let (single, singles) = self.gradients(&inputs, &weights, None);
         let (double, doubles) = self.gradients(&held, &weights.cast(), None);
-        let error = |single: &Tensor<f32>, double: &Tensor<f64>| {
-            let scale: Vec<f64> = double.data().iter().map(|y| y.abs()).collect();
-            worst(single.cast::<f64>().data(), double.data(), &scale)
-        };
-        let gradient = singles.iter().zip(&doubles).map(|(a, b)| error(a, b)).fold(0.0, f64::max);
-        (error(&single, &double), gradient)
+        let pairs = singles.iter().zip(&doubles).zip(&expected.gradients[0]);
+        let gradient = pairs.map(|((single, double), (_, scale))| worst(single.cast::<f64>().data(), double.data(), scale));
+        let scale: Vec<f64> = double.data().iter().map(|y| y.abs()).collect();
+        (worst(single.cast::<f64>().data(), double.data(), &scale), gradient.fold(0.0, f64::max))
     }
 }
 

@@ -174,6 +174,24 @@ mod tests {
     use super::*;
 
     #[test]
+    fn one_wrong_entry_among_two_thousand_is_caught_whichever_it_is() {
+        for proof in crate::ops::proofs().iter().filter(|proof| ["atan2", "conv2d", "softmax"].contains(&proof.op)) {
+            let case = proof.cases.iter().max_by_key(|case| case.inputs[0].shape().len()).unwrap();
+            let expected = Expected::new(case);
+            let gradient = case.gradients(&case.inputs, &expected.weights[0], None).1.swap_remove(0);
+            let least = 1e-3 * gradient.data().iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+            assert!(gradient.data().len() >= 2000, "{}", case.label());
+            let rule = case.rules().into_iter().find(|rule| rule.2 == 0).unwrap();
+            for i in (0..gradient.data().len()).filter(|&i| gradient.data()[i].abs() > least) {
+                let spoil = Box::new(move |_, g: &mut [f64]| g[i] *= 1.0 + 1e-5);
+                let planted = Planted { node: rule.0, parent: 0, spoil };
+                let spoiled = case.gradients(&case.inputs, &expected.weights[0], Some(planted)).1;
+                assert!(expected.error(0, &spoiled) > TOLERANCE, "entry {i} of {}", case.label());
+            }
+        }
+    }
+
+    #[test]
     fn faults_do_what_they_say() {
         let shape = Shape::new(1, 1, 2, 3);
         let spoiled = |fault: Fault, g: [f64; 6]| {

@@ -39,6 +39,12 @@ impl<N: Number> Plain<N> {
         self.data[((n * self.shape.0[1] + c) * self.shape.0[2] + h) * self.shape.0[3] + w]
     }
 
+    /// The entry of a plane, where one sample or one channel stands for all.
+    pub fn at_plane(&self, n: usize, c: usize, [h, w]: [usize; 2]) -> N {
+        let sole = |i: usize, size: usize| if size == 1 { 0 } else { i };
+        self.at([sole(n, self.shape.n()), sole(c, self.shape.c()), h, w])
+    }
+
     /// The entry at row `h` and column `w` of a plane, zero outside.
     pub fn or_zero(&self, n: usize, c: usize, h: isize, w: isize) -> N {
         let inside = h >= 0 && w >= 0 && h < self.shape.0[2] as isize && w < self.shape.0[3] as isize;
@@ -71,6 +77,15 @@ impl<N: Number> Plain<N> {
             sums.data[position] = sums.data[position] + self.at(i);
         }
         sums
+    }
+
+    /// Mean 0 and variance 1 (biased, with `eps` added) over the axes where `to` has size one.
+    pub fn standardised(&self, to: Shape, eps: f64) -> Self {
+        let count = N::constant(self.shape.len() as f64 / to.len() as f64);
+        let means = self.summed(to);
+        let centred = Plain::from_fn(self.shape, |i| self.at(i) - means.repeated(i) / count);
+        let squares = centred.map(|x| x * x).summed(to);
+        Plain::from_fn(self.shape, |i| centred.at(i) / (squares.repeated(i) / count + N::constant(eps)).sqrt())
     }
 
     /// `f` of every entry.
