@@ -61,7 +61,7 @@ pub(crate) fn single(x: f32) -> f32 {
     let a = x.abs();
     let a = if a > 10.0 { 10.0 } else { a };
     let t = 1.0 / (1.0 + 0.35 * a);
-    let p = 0.048_495_378;
+    let p = 0.048_495_38;
     let p = p * t - 0.303_981_45;
     let p = p * t + 0.617_266_65;
     let p = p * t - 0.448_207_83;

@@ -162,15 +162,15 @@ impl Twin for CorrelationLookup {
 pub(crate) fn proof() -> Proof {
     let mut draw = Draw::new("correlation_lookup");
     let mut cases = Vec::new();
-    let sizes: [([usize; 3], &[[usize; 2]], usize); 8] = [
-        ([1, 1, 1], &[[1, 1]], 0),
-        ([1, 2, 3], &[[4, 5]], 1),
-        ([2, 1, 3], &[[3, 4], [2, 2]], 1),
-        ([1, 3, 2], &[[5, 3], [2, 1], [1, 1]], 2),
-        ([2, 2, 2], &[[1, 6]], 0),
-        ([1, 1, 4], &[[7, 6], [3, 3]], 3),
-        ([1, 2, 2], &[[3, 3], [2, 2]], 1),
-        ([1, 5, 7], &[[7, 8]], 1),
+    let sizes = [
+        ([1, 1, 1], vec![[1, 1]], 0),
+        ([1, 2, 3], vec![[4, 5]], 1),
+        ([2, 1, 3], vec![[3, 4], [2, 2]], 1),
+        ([1, 3, 2], vec![[5, 3], [2, 1], [1, 1]], 2),
+        ([2, 2, 2], vec![[1, 6]], 0),
+        ([1, 1, 4], vec![[7, 6], [3, 3]], 3),
+        ([1, 2, 2], vec![[3, 3], [2, 2]], 1),
+        ([1, 5, 7], vec![[7, 8]], 1),
     ];
     for (i, ([n, h, w], levels, radius)) in sizes.into_iter().enumerate() {
         let [rows, columns] = levels[0].map(|size| size as f64);

@@ -78,6 +78,9 @@ impl fmt::Display for Fault {
     }
 }
 
+/// Changes a contribution of the given shape in place.
+type Spoil<T> = Box<dyn Fn(Shape, &mut [T])>;
+
 /// Changes what one node of a tape contributes to one of its parents, in place.
 pub(crate) struct Planted<T: Scalar> {
     /// Position of the node.
@@ -85,7 +88,7 @@ pub(crate) struct Planted<T: Scalar> {
     /// Which parent.
     pub(crate) parent: usize,
     /// The change.
-    pub(crate) spoil: Box<dyn Fn(Shape, &mut [T])>,
+    pub(crate) spoil: Spoil<T>,
 }
 
 /// What became of one fault in one backward rule over all cases of a proof.
