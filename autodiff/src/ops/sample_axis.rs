@@ -70,7 +70,7 @@ impl<T: Scalar> AxisTap<T> {
             } else {
                 Self { base: 0, weight: [rest, T::ZERO], slope: [-T::ONE, T::ZERO] }
             }
-        } else if x < T::ZERO && x > -T::ONE {
+        } else if x < T::ZERO && x >= -T::ONE {
             Self { base: 0, weight: [T::ONE + x, T::ZERO], slope: [T::ONE, T::ZERO] }
         } else if x.is_nan() {
             Self::constant(0, [x; 2])
@@ -117,8 +117,9 @@ mod tests {
     fn zeros_fade_over_one_element() {
         let zeros = |x| at(x, 4, SamplePadding::Zeros);
         assert_eq!(zeros(-0.25), (0, [0.75, 0.0], [1.0, 0.0]));
+        assert_eq!(zeros(-1.0), (0, [0.0, 0.0], [1.0, 0.0]));
         assert_eq!(zeros(3.25), (2, [0.0, 0.75], [0.0, -1.0]));
-        assert_eq!(zeros(-1.0), (0, [0.0; 2], [0.0; 2]));
+        assert_eq!(zeros(-1.1), (0, [0.0; 2], [0.0; 2]));
         assert_eq!(zeros(4.0), (0, [0.0; 2], [0.0; 2]));
         assert_eq!(at(0.25, 1, SamplePadding::Zeros), (0, [0.75, 0.0], [-1.0, 0.0]));
     }
