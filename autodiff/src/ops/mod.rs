@@ -82,6 +82,7 @@ mod tanh;
 mod testing;
 mod unary;
 mod upsample_nearest;
+mod window_correlation;
 
 use crate::proof::Proof;
 
@@ -160,5 +161,6 @@ pub(crate) fn proofs() -> Vec<Proof> {
         sum_to::proof(),
         tanh::proof(),
         upsample_nearest::proof(),
+        window_correlation::proof(),
     ]
 }
