@@ -99,18 +99,18 @@ impl fmt::Display for Report {
 /// ```
 ///
 /// # Panics
-/// When `f` does not return a single number.
+/// When `f` does not return a single number, or when an input, a value on the way or a gradient is not finite.
 #[track_caller]
 pub fn gradcheck(
     inputs: &[Tensor<f64>],
     f: impl for<'t> Fn(&'t Tape<f64>, &[Var<'t, f64>]) -> Var<'t, f64>,
     settings: GradCheck,
 ) -> Report {
-    let tape = Tape::new();
+    let tape = Tape::new().refusing_non_finite();
     let vars: Vec<_> = inputs.iter().map(|x| tape.leaf(x.clone())).collect();
     let grads = tape.backward(f(&tape, &vars));
     let eval = |inputs: &[Tensor<f64>]| {
-        let tape = Tape::new();
+        let tape = Tape::new().refusing_non_finite();
         let vars: Vec<_> = inputs.iter().map(|x| tape.constant(x.clone())).collect();
         f(&tape, &vars).value().item()
     };

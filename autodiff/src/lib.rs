@@ -4,23 +4,53 @@
 //! on [`Var`] handles; [`Tape::backward`] returns the [`Gradients`] of a scalar. Everything is generic over `f32` (training)
 //! and `f64` (proofs).
 //!
-//! ```
-//! use dimode_autodiff::{Shape, Tape, Tensor};
+//! A line through four points, by gradient descent, after a check of the gradient:
 //!
-//! let tape = Tape::<f64>::new();
-//! let x = tape.leaf(Tensor::from_vec(Shape::new(1, 1, 1, 3), vec![1.0, -2.0, 3.0]));
-//! let loss = x.mul(x).sum();                 // sum of squares
-//! let grads = tape.backward(loss);
-//! assert_eq!(loss.value().item(), 14.0);
-//! assert_eq!(grads.wrt(x).data(), [2.0, -4.0, 6.0]);
+//! ```
+//! use dimode_autodiff::{GradCheck, Shape, Tape, Tensor, Var, gradcheck};
+//!
+//! /// Mean square of `slope x + offset - y`.
+//! fn loss<'t>([slope, offset, x, y]: [Var<'t, f64>; 4]) -> Var<'t, f64> {
+//!     let everywhere = |v: Var<'t, f64>| v.broadcast_to(x.shape());
+//!     everywhere(slope).mul(x).add(everywhere(offset)).sub(y).square().mean()
+//! }
+//!
+//! let points = |values: [f64; 4]| Tensor::from_vec(Shape::new(1, 1, 1, 4), values.to_vec());
+//! let (x, y) = (points([0.0, 1.0, 2.0, 3.0]), points([1.0, 3.0, 5.0, 7.0]));
+//! let mut all = [Tensor::scalar(0.0), Tensor::scalar(0.0), x, y];
+//!
+//! let report = gradcheck(&all, |_, v| loss([v[0], v[1], v[2], v[3]]), GradCheck::default());
+//! assert!(report.is_ok(), "{report}");        // names the worst entries
+//!
+//! for _ in 0..200 {
+//!     let tape = Tape::new();
+//!     let v = all.each_ref().map(|value| tape.leaf(value.clone()));
+//!     let grads = tape.backward(loss(v));
+//!     for k in [0, 1] {
+//!         all[k] = Tensor::scalar(all[k].item() - 0.1 * grads.wrt(v[k]).item());
+//!     }
+//! }
+//! assert!((all[0].item() - 2.0).abs() < 1e-4 && (all[1].item() - 1.0).abs() < 1e-4);
 //! ```
 //!
-//! Operations live one to a file in [`ops`]; anyone can define another with [`Tape::push`]. [`gradcheck()`] compares the
-//! recorded gradients of any function with central differences.
+//! Operations live one to a file in [`ops`]; anyone can define another with [`Tape::push`]. Each one carries a [`proof`]: its
+//! values and gradients against a plain loop in forward mode and against central differences, with faults planted to see that
+//! the comparison notices. [`gradcheck()`] does the same for any function, by differences alone.
+//!
+//! | to | use |
+//! |---|---|
+//! | stop a gradient, read one in the middle | [`Var::detach`], [`Var::retain_grad`] |
+//! | free values during the backward pass, use buffers again | [`Tape::backward_and_free`], [`Tape::with_pool`] |
+//! | compute a long segment twice instead of keeping it | [`Tape::checkpoint`] |
+//! | find where a number stops being finite | [`Tape::refusing_non_finite`] |
+//!
+//! Wrong shapes are errors of the programmer: operations panic with their name, the shapes and the rule. No tensor has an axis of
+//! size zero. NaN and infinities pass through, no operation hides them.
 //!
 //! The same inputs give the same bits on any number of threads: work is cut into chunks of fixed size ([`par`]) and
 //! reductions run in a fixed order.
 
+mod checkpoint;
 mod erfc;
 mod fast;
 pub mod gemm;

@@ -75,6 +75,12 @@ impl Shape {
         Shape(sizes)
     }
 
+    /// Indices `[n, c, h, w]` of the element at a position in the row-major buffer.
+    pub const fn unravel(self, position: usize) -> [usize; 4] {
+        let [_, c, h, w] = self.0;
+        [position / (c * h * w), position / (h * w) % c, position / w % h, position % w]
+    }
+
     /// Position of an element in the row-major buffer.
     pub const fn index(self, n: usize, c: usize, h: usize, w: usize) -> usize {
         ((n * self.0[1] + c) * self.0[2] + h) * self.0[3] + w

@@ -27,6 +27,8 @@ struct Node<T: Scalar> {
 pub struct Tape<T: Scalar> {
     nodes: RefCell<Vec<Node<T>>>,
     pool: Arc<Pool<T>>,
+    /// Whether a value or gradient that is not finite is refused.
+    finite_only: bool,
     /// A fault in one backward rule, for the test of the gradient checks.
     planted: RefCell<Option<Planted<T>>>,
 }
@@ -66,7 +68,25 @@ impl<T: Scalar> Tape<T> {
 
     /// An empty tape that takes its buffers from `pool`.
     pub fn with_pool(pool: Arc<Pool<T>>) -> Self {
-        Tape { nodes: RefCell::new(Vec::new()), pool, planted: RefCell::new(None) }
+        Tape { nodes: RefCell::new(Vec::new()), pool, finite_only: false, planted: RefCell::new(None) }
+    }
+
+    /// The same tape, but it panics as soon as an input, an operation's output or a gradient is NaN or infinite, and names the
+    /// operation and the entry.
+    ///
+    /// For tests and for the search of a fault: every value is read once more. Other tapes let such numbers pass on; no
+    /// operation hides them.
+    ///
+    /// ```should_panic
+    /// use dimode_autodiff::{Tape, Tensor};
+    ///
+    /// let tape = Tape::<f64>::new().refusing_non_finite();
+    /// let x = tape.leaf(Tensor::scalar(-1.0));
+    /// x.sqrt(); // sqrt [1, 1, 1, 1]: entry [0, 0, 0, 0] of the output is NaN
+    /// ```
+    #[must_use]
+    pub fn refusing_non_finite(self) -> Self {
+        Tape { finite_only: true, ..self }
     }
 
     /// The pool of this tape's buffers.
@@ -85,11 +105,13 @@ impl<T: Scalar> Tape<T> {
     }
 
     /// A variable whose gradient is wanted.
+    #[track_caller]
     pub fn leaf(&self, value: Tensor<T>) -> Var<'_, T> {
         self.append("leaf", value, Box::new([]), None, true)
     }
 
     /// A value without gradient.
+    #[track_caller]
     pub fn constant(&self, value: Tensor<T>) -> Var<'_, T> {
         self.append("constant", value, Box::new([]), None, false)
     }
@@ -141,6 +163,7 @@ impl<T: Scalar> Tape<T> {
         (parents.iter().map(|p| p.id).collect(), parents.iter().any(|p| p.requires_grad()))
     }
 
+    #[track_caller]
     fn append(
         &self,
         op: &'static str,
@@ -149,6 +172,9 @@ impl<T: Scalar> Tape<T> {
         backward: Option<Backward<T>>,
         requires_grad: bool,
     ) -> Var<'_, T> {
+        if self.finite_only {
+            assert_finite(&value, op, "output");
+        }
         let mut nodes = self.nodes.borrow_mut();
         let keeps_grad = requires_grad && parents.is_empty();
         nodes.push(Node { op, shape: value.shape(), value: Some(value), parents, backward, requires_grad, keeps_grad });
@@ -161,7 +187,7 @@ impl<T: Scalar> Tape<T> {
     /// When `loss` is not a single number or belongs to another tape.
     #[track_caller]
     pub fn backward(&self, loss: Var<'_, T>) -> Gradients<T> {
-        self.sweep(loss, false)
+        self.differentiate(loss, false)
     }
 
     /// As [`Tape::backward`], but frees values and saved state as soon as they have served.
@@ -172,7 +198,7 @@ impl<T: Scalar> Tape<T> {
     /// When `loss` is not a single number or belongs to another tape.
     #[track_caller]
     pub fn backward_and_free(&self, loss: Var<'_, T>) -> Gradients<T> {
-        self.sweep(loss, true)
+        self.differentiate(loss, true)
     }
 
     /// Spoils one backward rule in the sweeps to come.
@@ -189,18 +215,34 @@ impl<T: Scalar> Tape<T> {
         nodes.iter().enumerate().flat_map(rules).collect()
     }
 
+    /// Gradients of `<seed, output>` added to those that some leaves already have; values are freed on the way.
+    pub(crate) fn pull_back(&self, output: Var<'_, T>, seed: &Tensor<T>, so_far: Vec<(Var<'_, T>, Tensor<T>)>) -> Gradients<T> {
+        let mut grads: Vec<Option<Tensor<T>>> = vec![None; self.len()];
+        for (leaf, gradient) in so_far {
+            grads[leaf.id] = Some(gradient);
+        }
+        GradSlot { shape: output.shape(), grad: &mut grads[output.id], pool: &self.pool }.add_tensor(seed);
+        self.sweep(output.id, grads, true)
+    }
+
+    /// Gradients of a scalar.
     #[track_caller]
-    fn sweep(&self, loss: Var<'_, T>, free: bool) -> Gradients<T> {
+    fn differentiate(&self, loss: Var<'_, T>, free: bool) -> Gradients<T> {
         assert!(std::ptr::eq(loss.tape, self), "backward: the loss belongs to another tape");
         let shape = loss.shape();
         assert!(shape.len() == 1, "backward: the loss must be one number, got shape {shape}");
+        let mut grads = vec![None; loss.id + 1];
+        grads[loss.id] = Some(Tensor::full(shape, T::ONE));
+        self.sweep(loss.id, grads, free)
+    }
+
+    /// Walks from node `last` to the first and lets each hand its gradient on to its parents.
+    fn sweep(&self, last: usize, mut grads: Vec<Option<Tensor<T>>>, free: bool) -> Gradients<T> {
         let mut nodes = self.nodes.borrow_mut();
         let needs: Vec<bool> = nodes.iter().map(|n| n.requires_grad).collect();
         let shapes: Vec<Shape> = nodes.iter().map(|n| n.shape).collect();
-        let mut grads: Vec<Option<Tensor<T>>> = (0..=loss.id).map(|_| None).collect();
-        grads[loss.id] = Some(Tensor::full(shape, T::ONE));
         let planted = self.planted.borrow();
-        for id in (0..=loss.id).rev() {
+        for id in (0..=last).rev() {
             let node = &mut nodes[id];
             if let (Some(backward), Some(grad)) = (&node.backward, &grads[id]) {
                 let grad = grad.clone();
@@ -218,6 +260,11 @@ impl<T: Scalar> Tape<T> {
                     (planted.spoil)(slot.shape, slot.as_mut_slice());
                     others.iter().for_each(|others| slot.add_tensor(others));
                 }
+                if self.finite_only {
+                    for gradient in node.parents.iter().filter_map(|&parent| grads[parent].as_ref()) {
+                        assert_finite(gradient, node.op, "gradient that it passes on");
+                    }
+                }
             }
             if free && !node.parents.is_empty() {
                 node.backward = None;
@@ -225,6 +272,15 @@ impl<T: Scalar> Tape<T> {
             }
         }
         Gradients { grads, shapes }
+    }
+}
+
+/// Refuses a tensor with an entry that is NaN or infinite.
+#[track_caller]
+fn assert_finite<T: Scalar>(tensor: &Tensor<T>, op: &str, what: &str) {
+    if let Some(at) = tensor.data().iter().position(|x| !x.is_finite()) {
+        let (index, value) = (tensor.shape().unravel(at), tensor.data()[at].to_f64());
+        panic!("{op} {}: entry {index:?} of the {what} is {value}", tensor.shape());
     }
 }
 
@@ -243,6 +299,11 @@ impl<'t, T: Scalar> Var<'t, T> {
         let nodes = self.tape.nodes.borrow();
         let node = &nodes[self.id];
         node.value.clone().unwrap_or_else(|| panic!("value of {} {} was freed by backward_and_free", node.op, node.shape))
+    }
+
+    /// Whether both are the same node of the same tape.
+    pub(crate) fn is(self, other: Self) -> bool {
+        std::ptr::eq(self.tape, other.tape) && self.id == other.id
     }
 
     /// The shape of the value.
@@ -282,6 +343,11 @@ impl<T: Scalar> Gradients<T> {
         self.grads.get(var.id).and_then(Option::as_ref)
     }
 
+    /// The same, taken out.
+    pub(crate) fn take(&mut self, var: Var<'_, T>) -> Option<Tensor<T>> {
+        self.grads.get_mut(var.id).and_then(Option::take)
+    }
+
     /// The gradient with respect to a leaf or retained variable; zeros when no path leads to it.
     pub fn wrt(&self, var: Var<'_, T>) -> Tensor<T> {
         self.get(var).cloned().unwrap_or_else(|| Tensor::zeros(self.shapes[var.id]))
@@ -313,6 +379,21 @@ impl<T: Scalar> GradSink<'_, T> {
     pub fn slot(&mut self, k: usize) -> Option<GradSlot<'_, T>> {
         let id = self.parents[k];
         self.needs[id].then(|| GradSlot { shape: self.shapes[id], grad: &mut self.grads[id], pool: self.pool })
+    }
+
+    /// Takes the gradient so far of parent `k` out of its slot.
+    pub(crate) fn take(&mut self, k: usize) -> Option<Tensor<T>> {
+        self.grads[self.parents[k]].take()
+    }
+
+    /// Puts the gradient so far of parent `k` into its slot.
+    pub(crate) fn put(&mut self, k: usize, gradient: Option<Tensor<T>>) {
+        self.grads[self.parents[k]] = gradient;
+    }
+
+    /// The pool of the tape's buffers.
+    pub(crate) fn pool(&self) -> &Arc<Pool<T>> {
+        self.pool
     }
 
     /// A pooled scratch buffer with arbitrary contents; give it back by [`GradSink::give_back`].
@@ -427,6 +508,26 @@ mod tests {
         assert_eq!(grads.wrt(middle).item(), 2.0);
         let unused = tape.leaf(Tensor::zeros(Shape::new(1, 1, 2, 2)));
         assert!(tape.backward(middle).get(unused).is_none());
+    }
+
+    #[test]
+    #[should_panic(expected = "sqrt [1, 1, 1, 2]: entry [0, 0, 0, 1] of the output is NaN")]
+    fn a_watched_tape_refuses_an_output_that_is_not_finite() {
+        let tape = Tape::new().refusing_non_finite();
+        tape.leaf(Tensor::from_vec(Shape::new(1, 1, 1, 2), vec![4.0, -1.0])).sqrt();
+    }
+
+    #[test]
+    #[should_panic(expected = "leaf [1, 1, 1, 1]: entry [0, 0, 0, 0] of the output is inf")]
+    fn a_watched_tape_refuses_an_input_that_is_not_finite() {
+        Tape::<f64>::new().refusing_non_finite().leaf(Tensor::scalar(f64::INFINITY));
+    }
+
+    #[test]
+    #[should_panic(expected = "sqrt [1, 1, 1, 1]: entry [0, 0, 0, 0] of the gradient that it passes on is inf")]
+    fn a_watched_tape_refuses_a_gradient_that_is_not_finite() {
+        let tape = Tape::new().refusing_non_finite();
+        tape.backward(tape.leaf(Tensor::scalar(0.0)).sqrt());
     }
 
     #[test]
