@@ -32,7 +32,7 @@ impl<T: Scalar> Tensor<T> {
     /// A tensor over the given elements.
     ///
     /// # Panics
-    /// When the number of elements is not that of the shape.
+    /// When a size is zero or the number of elements is not that of the shape.
     #[track_caller]
     pub fn from_vec(shape: Shape, data: Vec<T>) -> Self {
         Self::build(shape, data, None)
@@ -46,6 +46,7 @@ impl<T: Scalar> Tensor<T> {
 
     #[track_caller]
     fn build(shape: Shape, data: Vec<T>, pool: Option<Arc<Pool<T>>>) -> Self {
+        assert!(!shape.is_empty(), "tensor: every size must be at least 1, got shape {shape}");
         assert!(shape.len() == data.len(), "tensor: shape {shape} needs {} elements, got {}", shape.len(), data.len());
         Tensor { shape, buffer: Arc::new(Buffer { data, pool }) }
     }
@@ -178,6 +179,12 @@ mod tests {
         assert_eq!(first.data(), [0.0, 1.0, 2.0, 3.0]);
         assert_eq!(second.data(), [9.0, 1.0, 2.0, 3.0]);
         assert_eq!(first.plane(0, 1), [2.0, 3.0]);
+    }
+
+    #[test]
+    #[should_panic(expected = "every size must be at least 1, got shape [1, 0, 2, 2]")]
+    fn a_size_of_zero_is_refused() {
+        Tensor::<f32>::zeros(Shape::new(1, 0, 2, 2));
     }
 
     #[test]

@@ -98,9 +98,6 @@ impl Lines {
         numbers: [&[T]; L],
         f: impl Fn(usize, T, [T; K], [T; L]) -> T + Sync + Send,
     ) {
-        if out.is_empty() {
-            return;
-        }
         let run = if self.inner == 1 { self.len } else { self.inner };
         let runs = (par::CHUNK / run).max(1);
         par::for_each_chunk(out, runs * run, |chunk, out| {

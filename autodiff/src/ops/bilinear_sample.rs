@@ -159,13 +159,13 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// coordinates normalised by (size - 1)/2.
     /// **Gradient**: to the image and to the coordinates; the latter 0 where the clamp of `Border` is active.
     /// **Domain**: NaN coordinates give NaN and pass no gradient.
-    /// **Panics** when the numbers of samples differ, `coords` has not two channels, or the image plane is empty.
+    /// **Panics** when the numbers of samples differ or `coords` has not two channels.
     #[track_caller]
     pub fn bilinear_sample(self, coords: Var<'t, T>, padding: SamplePadding) -> Var<'t, T> {
         let (shape, coords_shape) = (self.shape(), coords.shape());
         assert!(
-            shape.n() == coords_shape.n() && coords_shape.c() == 2 && shape.plane() > 0,
-            "bilinear_sample: image {shape} at coordinates {coords_shape}: needs [n, c, h, w] and [n, 2, h', w'], not empty"
+            shape.n() == coords_shape.n() && coords_shape.c() == 2,
+            "bilinear_sample: image {shape} at coordinates {coords_shape}: needs [n, c, h, w] and [n, 2, h', w']"
         );
         let sampler = Sampler::new(shape, coords_shape, padding);
         let (image_len, coords_len) = (shape.c() * shape.plane(), 2 * coords_shape.plane());

@@ -70,7 +70,6 @@ impl Conv2d {
     /// When channels, groups or sizes do not fit.
     #[track_caller]
     pub fn output_shape(&self, input: Shape, weight: Shape) -> Shape {
-        assert!(!input.is_empty() && !weight.is_empty(), "conv2d: empty input {input} or weight {weight}");
         assert!(
             self.groups > 0 && input.c() == weight.c() * self.groups && weight.n().is_multiple_of(self.groups),
             "conv2d: input {input} and weight {weight} do not fit {} groups (input channels = weight channels x groups)",

@@ -79,8 +79,8 @@ impl<'t, T: Scalar> Var<'t, T> {
         );
         for (l, shape) in shapes.iter().enumerate() {
             assert!(
-                shape.n() == at.n() * at.plane() && shape.c() == 1 && shape.plane() > 0,
-                "correlation_lookup: level {l} of shape {shape} at coordinates {at}: needs [n h w, 1, h_l, w_l], not empty"
+                shape.n() == at.n() * at.plane() && shape.c() == 1,
+                "correlation_lookup: level {l} of shape {shape} at coordinates {at}: needs [n h w, 1, h_l, w_l]"
             );
         }
         let levels: Vec<Level> =

@@ -17,7 +17,7 @@ use crate::{GradSink, Scalar, Shape, Tensor, Var, rng};
 pub fn keep_mask<T: Scalar>(samples: usize, rate: f64, seed: u64, step: u64) -> Tensor<T> {
     assert_rate("keep_mask", rate);
     let stream = rng::splitmix64(seed, step);
-    let keep = |n| if rng::uniform(stream, n as u64) < rate { T::ZERO } else { T::ONE };
+    let keep = |n| if rng::unit(stream, n as u64) < rate { T::ZERO } else { T::ONE };
     Tensor::from_vec(Shape::new(samples, 1, 1, 1), (0..samples).map(keep).collect())
 }
 

@@ -62,14 +62,14 @@ impl<'t, T: Scalar> Var<'t, T> {
     ///
     /// **Gradient**: `g w` to the input, `gᵀ x` to the weight, the sum of `g` over the rows to the bias.
     ///
-    /// **Panics** when the shapes do not fit or one is empty. Equals PyTorch's `linear`.
+    /// **Panics** when the shapes do not fit. Equals PyTorch's `linear`.
     #[track_caller]
     pub fn linear(self, weight: Var<'t, T>, bias: Option<Var<'t, T>>) -> Var<'t, T> {
         let (x, w) = (self.value(), weight.value());
         let (input, [_, _, outputs, inputs]) = (x.shape(), w.shape().0);
         assert!(
-            !input.is_empty() && !w.shape().is_empty() && w.shape().planes() == 1 && inputs == input.w(),
-            "linear: input {input} and weight {}; the rule: [n, c, h, inputs] and [1, 1, outputs, inputs], not empty",
+            w.shape().planes() == 1 && inputs == input.w(),
+            "linear: input {input} and weight {}; the rule: [n, c, h, inputs] and [1, 1, outputs, inputs]",
             w.shape()
         );
         if let Some(bias) = bias {

@@ -35,7 +35,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     pub fn masked_mean(self, mask: &Tensor<T>) -> Var<'t, T> {
         let shape = self.shape();
         assert_same("masked_mean (mask)", shape, mask.shape());
-        let size = shape.len().checked_div(shape.n()).unwrap_or(0).max(1);
+        let size = shape.len() / shape.n();
         let (x, mask) = (self.value(), mask.clone());
         let divisors: Vec<f64> = mask.data().chunks_exact(size).map(divisor).collect();
         let samples = x.data().chunks_exact(size).zip(mask.data().chunks_exact(size));

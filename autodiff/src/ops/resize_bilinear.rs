@@ -83,14 +83,11 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// **Shapes**: (N, C, H, W) to (N, C, height, width).
     /// **Gradient**: the transposed weights. `align_corners` has the meaning of PyTorch's argument: corners stay corners
     /// when true, pixel areas are matched (half-pixel centres) when false.
-    /// **Panics** when the input plane or the requested size is empty.
+    /// **Panics** when the requested size is empty.
     #[track_caller]
     pub fn resize_bilinear(self, height: usize, width: usize, align_corners: bool) -> Var<'t, T> {
         let shape = self.shape();
-        assert!(
-            shape.plane() > 0 && height * width > 0,
-            "resize_bilinear: input {shape} to {height}x{width}: neither may be empty"
-        );
+        assert!(height > 0 && width > 0, "resize_bilinear: input {shape} to {height}x{width}; the rule: at least 1x1");
         let out_shape = shape.with_plane(height, width);
         let (plane, out_plane) = (shape.plane(), out_shape.plane());
         let plan = Arc::new(Plan {

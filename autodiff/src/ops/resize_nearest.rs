@@ -49,15 +49,12 @@ impl<'t, T: Scalar> Var<'t, T> {
     ///
     /// **Gradient**: the sum over the positions that took an element.
     ///
-    /// **Panics** when the input plane or the requested size is empty. Equals PyTorch's `interpolate(mode="nearest")`, except for
+    /// **Panics** when the requested size is empty. Equals PyTorch's `interpolate(mode="nearest")`, except for
     /// the rare sizes at which its ratio in single precision rounds a whole position down to the element before it.
     #[track_caller]
     pub fn resize_nearest(self, height: usize, width: usize) -> Var<'t, T> {
         let shape = self.shape();
-        assert!(
-            shape.plane() > 0 && height > 0 && width > 0,
-            "resize_nearest: input {shape} to {height}x{width}; the rule: neither may be empty"
-        );
+        assert!(height > 0 && width > 0, "resize_nearest: input {shape} to {height}x{width}; the rule: at least 1x1");
         let out_shape = shape.with_plane(height, width);
         let (plane, out_plane) = (shape.plane(), out_shape.plane());
         let plan = Arc::new(Plan { rows: sources(shape.h(), height), columns: sources(shape.w(), width), width: shape.w() });
@@ -143,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "resize_nearest: input [1, 1, 2, 2] to 0x3; the rule: neither may be empty")]
+    #[should_panic(expected = "resize_nearest: input [1, 1, 2, 2] to 0x3; the rule: at least 1x1")]
     fn an_empty_result_is_refused() {
         Tape::new().constant(noise(1, [1, 1, 2, 2])).resize_nearest(0, 3);
     }

@@ -30,15 +30,15 @@ impl<'t, T: Scalar> Var<'t, T> {
     ///
     /// **Gradient**: `g` at these indices, 0 elsewhere.
     ///
-    /// **Panics** for an axis above 3, or when the indices leave the axis.
+    /// **Panics** for an axis above 3, or when the indices leave the axis, or there is none.
     #[track_caller]
     pub fn slice(self, axis: usize, start: usize, len: usize) -> Var<'t, T> {
         let shape = self.shape();
         assert_axis("slice", axis, shape);
         let size = shape.0[axis];
         assert!(
-            start.checked_add(len).is_some_and(|end| end <= size),
-            "slice: start {start}, length {len} on axis {axis} of {shape}; the rule: start + length <= {size}"
+            len > 0 && start.checked_add(len).is_some_and(|end| end <= size),
+            "slice: start {start}, length {len} on axis {axis} of {shape}; the rule: start + length <= {size}, length > 0"
         );
         let mut part = shape;
         part.0[axis] = len;
