@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
+use dimode_autodiff::par;
 use dimode_autodiff::proof::{Fault, all, mutations};
 
 #[test]
@@ -21,6 +22,22 @@ fn every_planted_fault_is_caught() {
             assert!(!m.is_missed(), "missed: {m:?}");
             // Every rule has a gradient to spoil; only an exchange can make no difference, where all entries are equal.
             assert!(m.fault == Fault::Swap || !m.is_void(), "nothing to spoil: {m:?}");
+        }
+    }
+}
+
+#[test]
+fn no_operation_hides_what_is_not_a_number() {
+    let hidden: Vec<String> = all().iter().flat_map(|proof| proof.hidden_nan()).collect();
+    assert!(hidden.is_empty(), "{hidden:#?}");
+}
+
+#[test]
+fn every_case_gives_the_same_bits_on_any_number_of_threads_and_again() {
+    for proof in all() {
+        let one = par::with_threads(1, || proof.bits());
+        for threads in [1, 2, 3, 4] {
+            assert!(par::with_threads(threads, || proof.bits()) == one, "{}: {threads} threads", proof.op());
         }
     }
 }

@@ -8,7 +8,7 @@ use crate::{Scalar, Shape, Tensor, Var};
 /// An operation with its attributes, written twice: on the tape and as a plain loop.
 ///
 /// The `Debug` form tells the attributes in messages.
-pub trait Twin: Debug {
+pub trait Twin: Debug + Send + Sync {
     /// The operation under proof.
     fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T>;
 
@@ -17,7 +17,7 @@ pub trait Twin: Debug {
 }
 
 /// A [`Twin`] behind a pointer, with its number types spelled out.
-pub(crate) trait Subject: Debug {
+pub(crate) trait Subject: Debug + Send + Sync {
     fn double<'t>(&self, v: &[Var<'t, f64>]) -> Var<'t, f64>;
     fn single<'t>(&self, v: &[Var<'t, f32>]) -> Var<'t, f32>;
     fn value(&self, x: &[Plain<f64>]) -> Plain<f64>;

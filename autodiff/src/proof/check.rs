@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 
 use super::{Case, Draw, Dual, Plain, Proof, fault::Planted};
-use crate::gradcheck::weighted_sum;
+use crate::gradcheck::{random, weighted_sum};
 use crate::{GradCheck, Scalar, Shape, Tape, Tensor, Var, gradcheck};
 
 /// Bound on the relative error in `f64` of values and gradients against the reference.
@@ -116,6 +116,13 @@ impl Proof {
     }
 }
 
+impl Proof {
+    /// Bits of values and gradients of every case, in `f64` and `f32`.
+    pub fn bits(&self) -> Vec<u64> {
+        self.cases.iter().flat_map(|case| [case.bits::<f64>(), case.bits::<f32>()]).flatten().collect()
+    }
+}
+
 impl Case {
     /// Compares this case with all oracles.
     pub fn check(&self) -> Errors {
@@ -157,6 +164,21 @@ impl Case {
         let grads = tape.backward(weigh(y, weights));
         let moving = vars.iter().zip(&self.moves).filter(|(_, moves)| **moves);
         (y.value(), moving.map(|(var, _)| grads.wrt(*var)).collect())
+    }
+
+    /// Value by the tape.
+    pub(crate) fn value(&self, inputs: &[Tensor<f64>]) -> Tensor<f64> {
+        let tape = Tape::new();
+        self.subject.double(&self.variables(&tape, inputs)).value()
+    }
+
+    /// Bits of value and gradients in one number type.
+    fn bits<T: Runs>(&self) -> Vec<u64> {
+        let inputs: Vec<Tensor<T>> = self.inputs.iter().map(Tensor::cast).collect();
+        let output = self.value(&self.inputs);
+        let (value, gradients) = self.gradients(&inputs, &random(1, output.shape(), -1.0, 1.0), None);
+        let all = std::iter::once(&value).chain(&gradients);
+        all.flat_map(Tensor::data).map(|x| x.to_f64().to_bits()).collect()
     }
 
     /// The backward rules that run in this case: position on the tape, name and parent.

@@ -14,6 +14,9 @@
 //!
 //! Errors are relative to the scale of the terms that were summed, see [`Errors`].
 //!
+//! [`Proof::hidden_nan`] asks further whether what is not a number shows in all that depends on it, [`Proof::bits`] for the bits
+//! of everything, to be compared between threads.
+//!
 //! [`mutations`] then spoils each backward rule in five ways ([`Fault`]) and counts what is caught.
 //!
 //! ```
@@ -26,6 +29,7 @@ mod check;
 mod draw;
 mod dual;
 mod fault;
+mod hidden;
 mod reference;
 
 pub use case::{Case, Proof, Twin};
