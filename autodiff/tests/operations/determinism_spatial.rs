@@ -1,4 +1,4 @@
-//! Spatial and normalisation operations give the same bits, forward and backward, on one, two and three threads.
+//! Spatial and normalisation operations give the same bits, forward and backward, on one to four threads and when repeated.
 
 use dimode_autodiff::gradcheck::{random, weighted_sum};
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
@@ -27,7 +27,7 @@ fn bits(threads: usize, inputs: &[[usize; 4]], op: Op) -> Vec<u32> {
 #[track_caller]
 fn assert_same_bits(inputs: &[[usize; 4]], op: Op) {
     let one = bits(1, inputs, op);
-    for threads in [2, 3] {
+    for threads in [1, 2, 3, 4] {
         assert!(bits(threads, inputs, op) == one, "{threads} threads give other bits than one");
     }
 }
