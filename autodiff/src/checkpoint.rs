@@ -1,6 +1,8 @@
 //! Gradient checkpointing: a segment of a graph that keeps nothing but its inputs and is computed again in the backward pass.
 
-use crate::{Scalar, Tape, Tensor, Var};
+use std::sync::Arc;
+
+use crate::{Pool, Scalar, Tape, Tensor, Var};
 
 impl<T: Scalar> Tape<T> {
     /// Computes `segment(inputs)` without keeping what it computes on the way; the backward pass computes it once more.
@@ -34,14 +36,15 @@ impl<T: Scalar> Tape<T> {
         let (parents, places) = distinct(inputs);
         let values: Vec<Tensor<T>> = parents.iter().map(|v| v.value()).collect();
         let wanted: Vec<bool> = parents.iter().map(|v| v.requires_grad()).collect();
+        let strict = self.refuses_non_finite();
         let output = {
-            let inner = Tape::with_pool(self.pool().clone());
+            let inner = inner(self.pool().clone(), strict);
             let leaves: Vec<_> = values.iter().map(|value| inner.constant(value.clone())).collect();
             let arguments: Vec<_> = places.iter().map(|&k| leaves[k]).collect();
             run(&segment, &inner, &arguments).value()
         };
         self.push("checkpoint", output, &parents, move |g, grads| {
-            let inner = Tape::with_pool(grads.pool().clone());
+            let inner = inner(grads.pool().clone(), strict);
             let variable = |(value, &wanted): (&Tensor<T>, &bool)| match wanted {
                 true => inner.leaf(value.clone()),
                 false => inner.constant(value.clone()),
@@ -57,6 +60,12 @@ impl<T: Scalar> Tape<T> {
             }
         })
     }
+}
+
+/// The tape of a segment.
+fn inner<T: Scalar>(pool: Arc<Pool<T>>, strict: bool) -> Tape<T> {
+    let tape = Tape::with_pool(pool);
+    if strict { tape.refusing_non_finite() } else { tape }
 }
 
 /// Runs a segment on its tape.
@@ -152,6 +161,13 @@ mod tests {
         };
         assert_eq!(fresh(false), (11, 0));
         assert_eq!(fresh(true), (2, 9 * 1024), "nine of ten values are back in the pool");
+    }
+
+    #[test]
+    #[should_panic(expected = "sqrt [1, 1, 1, 1]: entry [0, 0, 0, 0] of the output is NaN")]
+    fn a_segment_of_a_watched_tape_is_watched() {
+        let tape = Tape::<f64>::new().refusing_non_finite();
+        tape.checkpoint(&[tape.leaf(Tensor::scalar(-1.0))], |_, v| v[0].sqrt());
     }
 
     #[test]

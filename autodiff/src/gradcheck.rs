@@ -35,6 +35,8 @@ pub struct Entry {
     pub input: usize,
     /// Flat index into it.
     pub index: usize,
+    /// The same as `[n, c, h, w]`.
+    pub place: [usize; 4],
     /// Gradient by the tape.
     pub analytic: f64,
     /// Gradient by differences.
@@ -82,8 +84,8 @@ impl fmt::Display for Report {
         for e in &self.worst {
             writeln!(
                 f,
-                "  input {} entry {}: tape {:+.12e}, differences {:+.12e}, {:.2} x tolerance",
-                e.input, e.index, e.analytic, e.numeric, e.excess
+                "  input {} entry {:?}: tape {:+.12e}, differences {:+.12e}, {:.2} x tolerance",
+                e.input, e.place, e.analytic, e.numeric, e.excess
             )?;
         }
         Ok(())
@@ -122,7 +124,8 @@ pub fn gradcheck(
             let tolerance = settings.atol + settings.rtol * a.abs().max(numeric.abs());
             let error = (a - numeric).abs();
             let excess = if error.is_finite() { error / tolerance } else { f64::INFINITY };
-            entries.push(Entry { input, index, analytic: a, numeric, excess });
+            let place = analytic.shape().unravel(index);
+            entries.push(Entry { input, index, place, analytic: a, numeric, excess });
         }
     }
     report(entries, settings)

@@ -45,7 +45,8 @@
 //! | find where a number stops being finite | [`Tape::refusing_non_finite`] |
 //!
 //! Wrong shapes are errors of the programmer: operations panic with their name, the shapes and the rule. No tensor has an axis of
-//! size zero. NaN and infinities pass through, no operation hides them.
+//! size zero. NaN and infinities are not refused (training must see where they
+//! come from), but they show: a value that depends on NaN is NaN. [`gradcheck()`] refuses them.
 //!
 //! The same inputs give the same bits on any number of threads: work is cut into chunks of fixed size ([`par`]) and
 //! reductions run in a fixed order.

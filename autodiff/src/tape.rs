@@ -89,6 +89,11 @@ impl<T: Scalar> Tape<T> {
         Tape { finite_only: true, ..self }
     }
 
+    /// Whether a value or gradient that is not finite is refused.
+    pub(crate) fn refuses_non_finite(&self) -> bool {
+        self.finite_only
+    }
+
     /// The pool of this tape's buffers.
     pub fn pool(&self) -> &Arc<Pool<T>> {
         &self.pool
@@ -173,7 +178,7 @@ impl<T: Scalar> Tape<T> {
         requires_grad: bool,
     ) -> Var<'_, T> {
         if self.finite_only {
-            assert_finite(&value, op, "output");
+            assert_finite(&value, op, if parents.is_empty() { "value" } else { "output" });
         }
         let mut nodes = self.nodes.borrow_mut();
         let keeps_grad = requires_grad && parents.is_empty();
@@ -241,9 +246,12 @@ impl<T: Scalar> Tape<T> {
         let mut nodes = self.nodes.borrow_mut();
         let needs: Vec<bool> = nodes.iter().map(|n| n.requires_grad).collect();
         let shapes: Vec<Shape> = nodes.iter().map(|n| n.shape).collect();
+        let dropped = nodes.iter().map(|n| n.requires_grad && !n.keeps_grad).collect();
         let planted = self.planted.borrow();
         for id in (0..=last).rev() {
             let node = &mut nodes[id];
+            let freed = grads[id].is_some() && node.requires_grad && !node.parents.is_empty() && node.backward.is_none();
+            assert!(!freed, "backward: {} {} was freed by an earlier backward_and_free", node.op, node.shape);
             if let (Some(backward), Some(grad)) = (&node.backward, &grads[id]) {
                 let grad = grad.clone();
                 if !node.keeps_grad {
@@ -271,7 +279,7 @@ impl<T: Scalar> Tape<T> {
                 node.value = None;
             }
         }
-        Gradients { grads, shapes }
+        Gradients { grads, shapes, dropped }
     }
 }
 
@@ -335,6 +343,8 @@ impl<'t, T: Scalar> Var<'t, T> {
 pub struct Gradients<T: Scalar> {
     grads: Vec<Option<Tensor<T>>>,
     shapes: Vec<Shape>,
+    /// The nodes whose gradient served and was dropped.
+    dropped: Vec<bool>,
 }
 
 impl<T: Scalar> Gradients<T> {
@@ -349,7 +359,14 @@ impl<T: Scalar> Gradients<T> {
     }
 
     /// The gradient with respect to a leaf or retained variable; zeros when no path leads to it.
+    ///
+    /// # Panics
+    /// When the variable is an operation's output without [`Var::retain_grad`], or was recorded after the backward pass.
+    #[track_caller]
     pub fn wrt(&self, var: Var<'_, T>) -> Tensor<T> {
+        assert!(var.id < self.shapes.len(), "wrt: the variable was recorded after this backward pass");
+        let shape = self.shapes[var.id];
+        assert!(!self.dropped[var.id], "wrt: the gradient of {shape} was not kept; the rule: leaves, and what retain_grad marks");
         self.get(var).cloned().unwrap_or_else(|| Tensor::zeros(self.shapes[var.id]))
     }
 }
@@ -518,7 +535,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "leaf [1, 1, 1, 1]: entry [0, 0, 0, 0] of the output is inf")]
+    #[should_panic(expected = "leaf [1, 1, 1, 1]: entry [0, 0, 0, 0] of the value is inf")]
     fn a_watched_tape_refuses_an_input_that_is_not_finite() {
         Tape::<f64>::new().refusing_non_finite().leaf(Tensor::scalar(f64::INFINITY));
     }
@@ -528,6 +545,51 @@ mod tests {
     fn a_watched_tape_refuses_a_gradient_that_is_not_finite() {
         let tape = Tape::new().refusing_non_finite();
         tape.backward(tape.leaf(Tensor::scalar(0.0)).sqrt());
+    }
+
+    #[test]
+    #[should_panic(expected = "backward: double [1, 1, 1, 1] was freed by an earlier backward_and_free")]
+    fn a_second_backward_of_what_was_freed_is_refused() {
+        let tape = Tape::new();
+        let trunk = double(tape.leaf(Tensor::scalar(1.0)));
+        let (first, second) = (double(trunk), trunk.scale(3.0));
+        tape.backward_and_free(first);
+        tape.backward(second);
+    }
+
+    #[test]
+    #[should_panic(expected = "wrt: the gradient of [1, 1, 1, 1] was not kept")]
+    fn a_gradient_that_was_not_kept_is_refused() {
+        let tape = Tape::new();
+        let middle = double(tape.leaf(Tensor::scalar(1.0)));
+        tape.backward(double(middle)).wrt(middle);
+    }
+
+    #[test]
+    #[should_panic(expected = "wrt: the variable was recorded after this backward pass")]
+    fn a_later_variable_has_no_gradient() {
+        let tape = Tape::new();
+        let x = tape.leaf(Tensor::scalar(1.0));
+        let grads = tape.backward(double(x));
+        grads.wrt(double(x));
+    }
+
+    #[test]
+    fn values_are_freed_while_the_gradient_walks_back() {
+        let tape = Tape::<f64>::new();
+        let pool = tape.pool().clone();
+        let seen = std::rc::Rc::new(RefCell::new(Vec::new()));
+        let mut y = tape.leaf(Tensor::zeros(Shape::new(1, 1, 32, 32)));
+        for _ in 0..10 {
+            let (seen, pool, x) = (seen.clone(), pool.clone(), y.exp());
+            y = tape.push("watch", x.value(), &[x], move |g, grads| {
+                seen.borrow_mut().push(pool.elements());
+                grads.slot(0).expect("x is differentiated").add_tensor(g);
+            });
+        }
+        tape.backward_and_free(y.sum());
+        let seen = seen.borrow();
+        assert!(seen.len() == 10 && seen[9] >= seen[0] + 8 * 1024, "elements back in the pool: {seen:?}");
     }
 
     #[test]
