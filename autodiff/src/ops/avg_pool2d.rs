@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "avg_pool2d: padding 2 must be at most half of the kernel 3")]
+    #[should_panic(expected = "with padding 2; the rule: at most half of the kernel 3")]
     fn rejects_padding_above_half_the_window() {
         let tape = Tape::new();
         tape.constant(noise(1, [1, 1, 4, 4])).avg_pool2d(3, 1, 2);

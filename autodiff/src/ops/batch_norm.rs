@@ -147,7 +147,7 @@ impl<'t, T: Scalar> Var<'t, T> {
         let shape = self.shape();
         assert_vector("batch_norm_train", "gamma", gamma.shape(), shape);
         assert_vector("batch_norm_train", "beta", beta.shape(), shape);
-        assert!(eps > 0.0, "batch_norm_train: eps {eps} must be positive");
+        assert!(eps > 0.0, "batch_norm_train: input {shape} with eps {eps}; the rule: positive");
         assert!(
             shape.n() * shape.plane() > 1,
             "batch_norm_train: input {shape}: a channel needs at least two values over samples and pixels"
@@ -176,7 +176,7 @@ impl<'t, T: Scalar> Var<'t, T> {
         for (name, got) in [("gamma", gamma.shape()), ("beta", beta.shape()), ("mean", mean.shape()), ("var", var.shape())] {
             assert_vector("batch_norm_eval", name, got, shape);
         }
-        assert!(eps > 0.0, "batch_norm_eval: eps {eps} must be positive");
+        assert!(eps > 0.0, "batch_norm_eval: input {} with eps {eps}; the rule: positive", self.shape());
         let measure = |c: usize| (mean.data()[c].to_f64(), var.data()[c].to_f64());
         let parents = [self, gamma, beta];
         let (y, _, statistics) = forward(parents, eps, measure);

@@ -93,7 +93,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     #[track_caller]
     pub fn box_mean(self, k: usize) -> Var<'t, T> {
         let shape = self.shape();
-        assert!(k % 2 == 1, "box_mean: window {k} must be odd");
+        assert!(k % 2 == 1, "box_mean: input {shape} with window {k}; the rule: an odd one");
         assert!(
             k / 2 < shape.h() && k / 2 < shape.w(),
             "box_mean: input {shape:?}, window {k}: half the window must be smaller than height and width"
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "window 4 must be odd")]
+    #[should_panic(expected = "with window 4; the rule: an odd one")]
     fn rejects_even_windows() {
         let tape = Tape::new();
         tape.constant(noise(1, [1, 1, 5, 5])).box_mean(4);

@@ -77,7 +77,7 @@ impl Conv2d {
         );
         assert!(
             self.stride.0 > 0 && self.stride.1 > 0 && self.dilation.0 > 0 && self.dilation.1 > 0,
-            "conv2d: stride {:?} and dilation {:?} must be positive",
+            "conv2d: input {input} and weight {weight} with stride {:?} and dilation {:?}; the rule: positive",
             self.stride,
             self.dilation
         );
@@ -113,7 +113,13 @@ impl<'t, T: Scalar> Var<'t, T> {
         let shape = conv.output_shape(x.shape(), w.shape());
         if let Some(bias) = bias {
             let want = Shape::new(1, shape.c(), 1, 1);
-            assert!(bias.shape() == want, "conv2d: bias must have shape {want}, got {}", bias.shape());
+            assert!(
+                bias.shape() == want,
+                "conv2d: input {} and weight {} need a bias {want}, got {}",
+                x.shape(),
+                w.shape(),
+                bias.shape()
+            );
         }
         let layout = Layout::new(x.shape(), w.shape(), shape, &conv);
         let pool = self.tape().pool().clone();

@@ -245,7 +245,7 @@ pub(crate) fn proof() -> Proof {
     let mut cases = Vec::new();
     let sizes =
         [([1, 1, 1, 1], 1), ([1, 2, 2, 3], 2), ([2, 1, 3, 1], 3), ([1, 3, 1, 4], 2), ([2, 2, 2, 2], 1), ([1, 2, 3, 2], 4)];
-    let more = [([1, 2, 2, 3], 2), ([1, 1, 3, 2], 2), ([1, 2, 5, 7], 2), ([1, 1, 2, 1], 8)];
+    let more = [([1, 2, 2, 3], 2), ([1, 1, 3, 2], 2), ([1, 2, 5, 7], 2), ([1, 1, 2, 1], 8), ([1, 1, 7, 8], 2)];
     for (i, (shape, factor)) in sizes.into_iter().chain(more).enumerate() {
         let shape = Shape(shape);
         let logits = draw.uniform(shape.with_c(9 * factor * factor), -2.0, 2.0);

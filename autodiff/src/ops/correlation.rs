@@ -134,6 +134,7 @@ pub(crate) fn proof() -> Proof {
         ([2, 4, 3, 2], [2, 5]),
         ([1, 2, 7, 11], [3, 5]),
         ([2, 2, 13, 7], [3, 3]),
+        ([1, 25, 9, 9], [2, 3]),
     ];
     for (i, (shape, [h, w])) in sizes.into_iter().enumerate() {
         let first = Shape(shape);

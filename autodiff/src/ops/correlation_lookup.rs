@@ -74,8 +74,7 @@ impl<'t, T: Scalar> Var<'t, T> {
         let shapes: Vec<Shape> = pyramid.iter().map(|v| v.shape()).collect();
         assert!(
             !pyramid.is_empty() && at.c() == 2,
-            "correlation_lookup: {} levels at coordinates {at}: needs a level and [n, 2, h, w]",
-            shapes.len()
+            "correlation_lookup: levels {shapes:?} at coordinates {at}; the rule: at least one level, coordinates [n, 2, h, w]"
         );
         for (l, shape) in shapes.iter().enumerate() {
             assert!(
@@ -170,7 +169,7 @@ pub(crate) fn proof() -> Proof {
         ([2, 2, 2], vec![[1, 6]], 0),
         ([1, 1, 4], vec![[7, 6], [3, 3]], 3),
         ([1, 2, 2], vec![[3, 3], [2, 2]], 1),
-        ([1, 5, 7], vec![[7, 8]], 1),
+        ([1, 5, 8], vec![[7, 8]], 1),
     ];
     for (i, ([n, h, w], levels, radius)) in sizes.into_iter().enumerate() {
         let [rows, columns] = levels[0].map(|size| size as f64);

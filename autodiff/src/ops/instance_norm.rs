@@ -61,7 +61,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     #[track_caller]
     pub fn instance_norm(self, eps: f64) -> Var<'t, T> {
         let shape = self.shape();
-        assert!(eps > 0.0, "instance_norm: eps {eps} must be positive");
+        assert!(eps > 0.0, "instance_norm: input {shape} with eps {eps}; the rule: positive");
         let plane = shape.plane();
         let x = self.value();
         let statistics: Vec<(T, T)> = par::map_indices(shape.planes(), |i| {
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "instance_norm: eps 0 must be positive")]
+    #[should_panic(expected = "with eps 0; the rule: positive")]
     fn rejects_eps_zero() {
         let tape = Tape::new();
         tape.constant(noise(1, [2, 1, 2, 3])).instance_norm(0.0);

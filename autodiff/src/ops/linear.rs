@@ -131,7 +131,7 @@ pub(crate) fn proof() -> Proof {
         ([1, 1, 1, 40], 7),
         // Several units of rows.
         ([2, 5, 67, 2], 3),
-        ([1, 1, 999, 2], 2),
+        ([1, 1, 1002, 2], 2),
     ]
     .into_iter()
     .enumerate()

@@ -231,7 +231,7 @@ pub(crate) fn proof() -> Proof {
             cases.push(if leading == [3, 1] && i < 4 { case.constant(i % 2) } else { case });
         }
     }
-    cases.push(product(&mut draw, MatMul::default(), [[1, 1]; 2], [43, 41, 45]));
+    cases.push(product(&mut draw, MatMul::default(), [[1, 1]; 2], [45, 46, 47]));
     Proof::new("matmul", cases)
 }
 
@@ -247,6 +247,10 @@ pub(crate) fn attributes_proof() -> Proof {
             let leading = [[[1, 1], [2, 3]], [[2, 3], [1, 1]], [[2, 1], [1, 3]], [[1, 3], [2, 3]], [[2, 3], [2, 1]]][i % 5];
             cases.push(product(&mut draw, attributes, leading, sizes));
         }
+    }
+    for [transpose_left, transpose_right] in turns {
+        let attributes = MatMul { transpose_left, transpose_right, broadcast: false };
+        cases.push(product(&mut draw, attributes, [[1, 1]; 2], [45, 46, 47]));
     }
     Proof::new("matmul_with", cases)
 }

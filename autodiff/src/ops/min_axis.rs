@@ -15,7 +15,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     ///
     /// **Gradient**: `g` to the first minimum of each line, 0 to the others.
     ///
-    /// **Panics** for an axis above 3 or an empty one.
+    /// **Panics** for an axis above 3.
     #[track_caller]
     pub fn min_axis(self, axis: usize) -> Extremum<'t, T> {
         extremum::record("min_axis", self, axis, -T::NEG_INFINITY, |x, best| x < best)

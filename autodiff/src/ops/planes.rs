@@ -106,8 +106,14 @@ impl Window {
     #[track_caller]
     pub(crate) fn new(op: &str, shape: Shape, kernel: usize, stride: usize, padding: usize) -> Self {
         let (height, width) = (shape.h(), shape.w());
-        assert!(kernel >= 1 && stride >= 1, "{op}: kernel {kernel} and stride {stride} must be at least 1");
-        assert!(2 * padding <= kernel, "{op}: padding {padding} must be at most half of the kernel {kernel}");
+        assert!(
+            kernel >= 1 && stride >= 1,
+            "{op}: input {shape} with kernel {kernel} and stride {stride}; the rule: both at least 1"
+        );
+        assert!(
+            2 * padding <= kernel,
+            "{op}: input {shape} with padding {padding}; the rule: at most half of the kernel {kernel}"
+        );
         assert!(
             height.min(width) > 0 && height.min(width) + 2 * padding >= kernel,
             "{op}: input {shape} with padding {padding} must be at least as large as the kernel {kernel}"

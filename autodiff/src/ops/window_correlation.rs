@@ -4,6 +4,8 @@
 //! and `dx` fast; `b` is zero outside. Vector-Jacobian products: `Σ_k g[k, i, j] b[c, i + dy, j + dx]` to `a`, and
 //! `Σ_k g[k, i - dy, j - dx] a[c, i - dy, j - dx]` to `b`. Bilinear, no kinks. Keeps both maps, each only when the other one needs
 //! its gradient.
+//!
+//! The feature flow of SCIPaD is a softmax over such windows of side 9, 5 and 3.
 
 use super::planes::for_each_plane;
 use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, total};
@@ -111,7 +113,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     #[track_caller]
     pub fn window_correlation(self, other: Var<'t, T>, radius: usize) -> Var<'t, T> {
         let shape = self.shape();
-        assert!(shape == other.shape(), "window_correlation: needs two maps of one shape, got {shape} and {}", other.shape());
+        assert!(shape == other.shape(), "window_correlation: maps {shape} and {}; the rule: one shape", other.shape());
         let window = Window { shape, radius };
         let (a, b) = (self.value(), other.value());
         let to = Shape::new(shape.n(), window.offsets(), shape.h(), shape.w());
@@ -165,6 +167,7 @@ pub(crate) fn proof() -> Proof {
         ([2, 2, 3, 4], 2),
         ([1, 2, 6, 5], 4),
         ([2, 17, 7, 9], 1),
+        ([1, 9, 15, 16], 1),
     ];
     for (i, (shape, radius)) in sizes.into_iter().enumerate() {
         let inputs = [draw.uniform(Shape(shape), -1.0, 1.0), draw.uniform(Shape(shape), -1.0, 1.0)];
@@ -207,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "window_correlation: needs two maps of one shape, got [1, 2, 3, 3] and [1, 2, 3, 4]")]
+    #[should_panic(expected = "window_correlation: maps [1, 2, 3, 3] and [1, 2, 3, 4]; the rule: one shape")]
     fn rejects_maps_of_different_sizes() {
         let tape = Tape::<f64>::new();
         let map = |w| tape.constant(random(1, Shape::new(1, 2, 3, w), -1.0, 1.0));
