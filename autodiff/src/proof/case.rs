@@ -68,6 +68,16 @@ impl Case {
         format!("{:?} of {shapes:?}", self.subject)
     }
 
+    /// Whether the case is compared with differences, which cost four evaluations for each entry.
+    pub fn is_small(&self) -> bool {
+        self.entries() <= 400
+    }
+
+    /// Entries of the largest input that is differentiated.
+    pub fn largest(&self) -> usize {
+        self.inputs.iter().zip(&self.moves).filter(|(_, moves)| **moves).map(|(x, _)| x.shape().len()).max().unwrap_or(0)
+    }
+
     /// Entries that are differentiated.
     pub(crate) fn entries(&self) -> usize {
         self.inputs.iter().zip(&self.moves).filter(|(_, moves)| **moves).map(|(x, _)| x.shape().len()).sum()

@@ -10,9 +10,6 @@ use crate::{GradCheck, Scalar, Shape, Tape, Tensor, Var, gradcheck};
 /// Bound on the relative error in `f64` of values and gradients against the reference.
 pub const TOLERANCE: f64 = 1e-12;
 
-/// Cases with more entries than this are not compared with differences, which cost four evaluations for each.
-const MOST_DIFFERENCES: usize = 400;
-
 /// Worst relative errors.
 ///
 /// The error of an entry is divided by its scale: the sum of the magnitudes of the terms `Jⱼᵢ wⱼ` for a gradient, the magnitude
@@ -128,7 +125,7 @@ impl Case {
     pub fn check(&self) -> Errors {
         let expected = Expected::new(self);
         let (value, gradients) = self.gradients::<f64>(&self.inputs, &expected.weights[0], None);
-        let differences = (self.entries() <= MOST_DIFFERENCES).then(|| self.differences(None));
+        let differences = self.is_small().then(|| self.differences(None));
         let (single_value, single_gradient) = self.single_errors(&expected);
         let again = self.gradients::<f64>(&self.inputs, &expected.weights[1], None).1;
         Errors {

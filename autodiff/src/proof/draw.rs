@@ -101,6 +101,8 @@ pub fn some_axes(draw: &mut Draw) -> Vec<(Shape, Shape)> {
     };
     let mut pairs: Vec<_> = (0..16).map(|choice| reduced(draw.shape([3, 4, 5, 6]).with_axis(1, 3), choice)).collect();
     pairs.extend(shapes(draw).into_iter().enumerate().map(|(i, shape)| reduced(shape, 5 * i % 16)));
+    // Two thousand entries on the small side.
+    pairs.push(reduced(Shape::new(2, 2, 23, 44), 1));
     pairs
 }
 

@@ -46,6 +46,8 @@ const LAYERS: &[Layer] = &[
     ("lite down 1", 99, 80, (3, 3), STRIDED, (48, 160)),
     ("lite down 2", 163, 128, (3, 3), STRIDED, (24, 80)),
     ("lite dilated 1", 48, 48, (3, 3), depthwise(48, 1), (48, 160)),
+    ("lite dilated 2", 48, 48, (3, 3), depthwise(48, 2), (48, 160)),
+    ("lite dilated 4", 128, 128, (3, 3), depthwise(128, 4), (12, 40)),
     ("lite dilated 3", 80, 80, (3, 3), depthwise(80, 3), (24, 80)),
     ("lite dilated 6", 128, 128, (3, 3), depthwise(128, 6), (12, 40)),
     ("lite position", 64, 48, (1, 1), POINT, (48, 160)),
@@ -59,6 +61,12 @@ const LAYERS: &[Layer] = &[
     ("hrnet branch 2", 72, 72, (3, 3), PLAIN, (12, 40)),
     ("hrnet branch 3", 144, 144, (3, 3), PLAIN, (6, 20)),
     ("hrnet fuse", 144, 18, (1, 1), POINT, (6, 20)),
+    // SCIPaD.
+    ("scipad frozen, in", 256, 64, (1, 1), POINT, (48, 160)),
+    ("scipad frozen, skip", 256, 512, (1, 1), Conv2d { padding: (0, 0), ..STRIDED }, (48, 160)),
+    ("scipad position", 2, 96, (1, 1), POINT, (48, 160)),
+    ("scipad fusion", 64, 128, (3, 3), PLAIN, (48, 160)),
+    ("scipad squeeze", 512, 256, (1, 1), POINT, (6, 20)),
     // RAFT, small and full.
     ("raft stem", 3, 32, (7, 7), STEM, (192, 640)),
     ("raft bottleneck", 8, 8, (3, 3), PLAIN, (96, 320)),
