@@ -17,16 +17,20 @@
 //! | [`loss_forms`] | the four geometric losses over lists of pixels |
 //! | [`taped`] | the same geometry as differentiable operations |
 //! | [`losses`] | the four losses on the tape |
+//! | [`scenes`] | reference scenes and motions |
+//! | [`ledger`] | every claim of the paper with its verdict and check |
 
 pub mod alignment;
 pub mod camera;
 pub mod error;
 pub mod flow;
 pub mod homography;
+pub mod ledger;
 pub mod loss_forms;
 pub mod losses;
 pub mod motion;
 pub mod ratios;
+pub mod scenes;
 pub mod se3;
 pub mod so3;
 mod svd3;

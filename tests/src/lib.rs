@@ -7,6 +7,7 @@
 //! |---|---|---|
 //! | `golden/losses` | sampling, poses, masks and losses with their gradients | `loss_parity` |
 //! | `golden/networks` | activations and gradients of networks | `network_parity` |
+//! | `golden/derivations` | the paper's equations and claims | `derivation_parity` |
 //! | `golden/evaluation` | depth and trajectory metrics | `evaluation_parity` |
 //!
 //! [`Golden`] reads tensors, [`json`] reads tables, and [`find`] says where a file lies. Their messages end a test, so they

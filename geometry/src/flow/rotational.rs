@@ -15,6 +15,15 @@ pub fn quadratic_terms(homography: &Matrix3<f64>, p: &Vector2<f64>) -> Vector2<f
     *p * -(third[0] * p.x + third[1] * p.y + third[2])
 }
 
+/// The expansion as the text prints it, `h_31 u^2 + h_32 u v + h_33 u` and `h_31 u v + h_32 v^2 + h_33 v`: the negative of
+/// [`quadratic_terms`]. For comparison only.
+#[must_use]
+pub fn printed_quadratic_terms(homography: &Matrix3<f64>, p: &Vector2<f64>) -> Vector2<f64> {
+    let (u, v) = (p.x, p.y);
+    let (h_31, h_32, h_33) = (homography[(2, 0)], homography[(2, 1)], homography[(2, 2)]);
+    Vector2::new(h_31 * u * u + h_32 * u * v + h_33 * u, h_31 * u * v + h_32 * v * v + h_33 * v)
+}
+
 /// Flow caused by the rotation `R` of `source_from_target`.
 ///
 /// **Formula** (eq. `rotational_flow`): `f_k = [p~^T (-h_3 i_k^T) p~ + h_k p~] / (h_3 p~)`.

@@ -1,0 +1,51 @@
+//! The tape's side of comparisons: values and derivatives of taped geometry at single pixels and over scenes.
+
+use dimode_autodiff::{Shape, Tape, Tensor, Var};
+use nalgebra::Vector2;
+
+use crate::camera::Intrinsics;
+
+/// Values and derivatives of a function on the tape: the values of all entries of the result, and for each of them one row with
+/// the derivatives with respect to all entries of all inputs, in order.
+#[must_use]
+pub fn jacobian(inputs: &[Tensor<f64>], f: impl for<'t> Fn(&[Var<'t, f64>]) -> Var<'t, f64>) -> (Vec<f64>, Vec<Vec<f64>>) {
+    let row = |entry: usize| {
+        let tape = Tape::new();
+        let leaves: Vec<_> = inputs.iter().map(|x| tape.leaf(x.clone())).collect();
+        let y = f(&leaves);
+        let mut picked = vec![0.0; y.shape().len()];
+        picked[entry] = 1.0;
+        let weights = tape.constant(Tensor::from_vec(y.shape(), picked));
+        let gradients = tape.backward(y.mul(weights).sum());
+        let row = leaves.iter().flat_map(|&leaf| gradients.wrt(leaf).data().to_vec()).collect();
+        (y.value().data().to_vec(), row)
+    };
+    let (values, first) = row(0);
+    let rest = (1..values.len()).map(|entry| row(entry).1);
+    let rows = std::iter::once(first).chain(rest).collect();
+    (values, rows)
+}
+
+/// Numbers as a tensor (1,K,1,1): a rotation vector, a translation, the depth of one pixel.
+#[must_use]
+pub fn column(values: &[f64]) -> Tensor<f64> {
+    Tensor::from_vec(Shape::new(1, values.len(), 1, 1), values.to_vec())
+}
+
+/// The camera of a one-pixel image that shows pixel `p` of another: taped maps of one entry then belong to `p`.
+#[must_use]
+pub fn pixel_camera(camera: &Intrinsics, p: &Vector2<f64>) -> Intrinsics {
+    Intrinsics { u0: camera.u0 - p.x, v0: camera.v0 - p.y, width: 1, height: 1, ..*camera }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_entries_and_columns_are_inputs() {
+        let (values, rows) = jacobian(&[column(&[2.0, 3.0]), column(&[5.0, 7.0])], |v| v[0].mul(v[1]));
+        assert_eq!(values, [10.0, 21.0]);
+        assert_eq!(rows, [[5.0, 0.0, 2.0, 0.0], [0.0, 7.0, 0.0, 3.0]]);
+    }
+}

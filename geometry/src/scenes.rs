@@ -1,0 +1,187 @@
+//! Reference scenes and motions: what the numbers of the ledger and of the tests refer to.
+//!
+//! The road is seen by a KITTI-like camera of 640x192, the room by a hand-held camera of 512x288; both on a grid of every
+//! sixteenth pixel, with smooth depth. The numbers of `tests/golden/derivations` were computed on them with 40 digits.
+
+use nalgebra::{Vector2, Vector3};
+
+use crate::alignment::Match;
+use crate::camera::Intrinsics;
+use crate::flow::rigid::rigid_flow;
+use crate::se3::Se3;
+
+/// Distance between neighbouring pixels of the grids.
+pub const STEP: usize = 16;
+const FIRST: usize = 8;
+
+/// A camera and the depth of a grid of its pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The camera.
+    pub camera: Intrinsics,
+    /// Columns and rows of the grid.
+    pub grid: [usize; 2],
+    /// Pixels, row by row.
+    pub pixels: Vec<Vector2<f64>>,
+    /// Depths of the pixels, metres.
+    pub depths: Vec<f64>,
+}
+
+impl Scene {
+    fn new(camera: Intrinsics, grid: [usize; 2], depth: impl Fn(f64, f64) -> f64) -> Self {
+        let at = |i: usize| (FIRST + STEP * i) as f64;
+        let pixels: Vec<_> = (0..grid[0] * grid[1]).map(|i| Vector2::new(at(i % grid[0]), at(i / grid[0]))).collect();
+        let depths = pixels.iter().map(|p| depth(p.x, p.y)).collect();
+        Self { camera, grid, pixels, depths }
+    }
+
+    /// The same grid before a wall at one depth, metres.
+    #[must_use]
+    pub fn at_depth(&self, depth: f64) -> Self {
+        Self { depths: vec![depth; self.pixels.len()], ..self.clone() }
+    }
+
+    /// Offsets `d = p - p0` of the pixels.
+    #[must_use]
+    pub fn offsets(&self) -> Vec<Vector2<f64>> {
+        self.pixels.iter().map(|p| p - self.camera.principal_point()).collect()
+    }
+
+    /// Exact matches of all pixels under a motion `source_from_target`.
+    ///
+    /// **Panics** when a point comes behind the source camera.
+    #[must_use]
+    #[track_caller]
+    pub fn matches(&self, motion: &Se3) -> Vec<Match> {
+        let exact = |(p, &z): (&Vector2<f64>, &f64)| {
+            let (flow, source_depth) =
+                rigid_flow(&self.camera, motion, p, z).expect("every point of a scene stays in front of the camera");
+            Match { target: *p, source: p + flow, source_depth }
+        };
+        self.pixels.iter().zip(&self.depths).map(exact).collect()
+    }
+
+    /// The camera of an image whose pixels are those of the grid: it sees pixel `(i, j)` where [`Scene::camera`] sees
+    /// `8 + 16 i`, `8 + 16 j`. Its flows are shorter by the factor [`STEP`], the angles between them the same.
+    #[must_use]
+    pub fn grid_camera(&self) -> Intrinsics {
+        let (k, step, first) = (&self.camera, STEP as f64, FIRST as f64);
+        let [width, height] = self.grid;
+        Intrinsics { fu: k.fu / step, fv: k.fv / step, u0: (k.u0 - first) / step, v0: (k.v0 - first) / step, width, height }
+    }
+}
+
+/// 640x192 camera with the usual KITTI proportions.
+#[must_use]
+pub fn kitti640() -> Intrinsics {
+    Intrinsics { fu: 371.2, fv: 368.64, u0: 320.0, v0: 96.0, width: 640, height: 192 }
+}
+
+/// 512x288 hand-held camera.
+#[must_use]
+pub fn hand512() -> Intrinsics {
+    Intrinsics { fu: 400.0, fv: 402.0, u0: 255.5, v0: 143.5, width: 512, height: 288 }
+}
+
+/// Street-like depths, 3.7 to 58 m, on 40x12 pixels of [`kitti640`].
+#[must_use]
+pub fn road() -> Scene {
+    Scene::new(kitti640(), [40, 12], |u, v| {
+        let e = 0.6 * (0.011 * u + 0.4).sin() + 0.5 * (0.023 * v - 0.3).cos() + 0.3 * (0.007 * (u + 2.0 * v)).sin();
+        15.0 * e.exp()
+    })
+}
+
+/// Room-like depths, 1.8 to 6.1 m, on 32x18 pixels of [`hand512`].
+#[must_use]
+pub fn room() -> Scene {
+    Scene::new(hand512(), [32, 18], |u, v| {
+        let e = 0.35 * (0.013 * u + 0.2).sin() + 0.3 * (0.017 * v + 0.5).cos() + 0.15 * (0.009 * (u - v)).sin();
+        3.0 * e.exp()
+    })
+}
+
+/// A motion with the scene it is looked at in.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reference {
+    /// Its name.
+    pub name: &'static str,
+    /// [`road`] or [`room`].
+    pub scene: Scene,
+    /// `source_from_target`.
+    pub motion: Se3,
+}
+
+/// `source_from_target` of a rotation vector, radians, and a translation in the target frame, metres.
+#[must_use]
+pub fn motion(omega: [f64; 3], in_target: [f64; 3]) -> Se3 {
+    let rotation = crate::so3::exp(&Vector3::from(omega));
+    Se3 { rotation, translation: rotation * Vector3::from(in_target) }
+}
+
+/// Forward driving, source ahead of the target.
+#[must_use]
+pub fn drive_next() -> Reference {
+    Reference { name: "drive_next", scene: road(), motion: motion([0.001, 0.004, -0.0005], [0.02, -0.01, -0.8]) }
+}
+
+/// Forward driving, source behind the target.
+#[must_use]
+pub fn drive_prev() -> Reference {
+    Reference { name: "drive_prev", scene: road(), motion: motion([-0.001, -0.004, 0.0005], [-0.017, 0.011, 0.8]) }
+}
+
+/// Driving through a bend, two degrees a frame.
+#[must_use]
+pub fn turn() -> Reference {
+    Reference { name: "turn", scene: road(), motion: motion([0.002, 0.035, 0.001], [0.03, -0.008, -0.75]) }
+}
+
+/// Hand-held motion.
+#[must_use]
+pub fn handheld() -> Reference {
+    Reference { name: "handheld", scene: room(), motion: motion([0.03, -0.05, 0.02], [0.06, 0.04, -0.08]) }
+}
+
+/// Sideways motion.
+#[must_use]
+pub fn lateral() -> Reference {
+    Reference { name: "lateral", scene: room(), motion: motion([0.004, 0.006, -0.003], [0.12, 0.015, 0.02]) }
+}
+
+/// A large motion with all components.
+#[must_use]
+pub fn generic() -> Reference {
+    Reference { name: "generic", scene: room(), motion: motion([0.01, -0.02, 0.015], [0.25, 0.18, -0.4]) }
+}
+
+/// All six, in the order above.
+#[must_use]
+pub fn references() -> [Reference; 6] {
+    [drive_next(), drive_prev(), turn(), handheld(), lateral(), generic()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depths_lie_where_the_scenes_say() {
+        let range = |s: &Scene| s.depths.iter().fold((f64::INFINITY, 0.0f64), |(a, b), &z| (a.min(z), b.max(z)));
+        let (near, far) = range(&road());
+        assert!((near - 3.7).abs() < 0.1 && (far - 58.0).abs() < 1.0, "{near} {far}");
+        let (near, far) = range(&room());
+        assert!((near - 1.8).abs() < 0.1 && (far - 6.1).abs() < 0.1, "{near} {far}");
+        assert_eq!(room().pixels[100], Vector2::new(72.0, 56.0));
+        assert!((room().depths[100] - 4.362858214052638).abs() < 1e-14);
+    }
+
+    #[test]
+    fn the_grid_camera_sees_the_same_rays() {
+        for scene in [road(), room()] {
+            let small = scene.grid_camera();
+            let p = scene.pixels[scene.grid[0] + 3];
+            assert!((small.ray(3.0, 1.0) - scene.camera.ray(p.x, p.y)).norm() < 1e-15);
+        }
+    }
+}
