@@ -12,6 +12,9 @@
 //! | [`umeyama`] | alignment of point sets |
 //! | [`homography`], [`flow`] | image motion of the single motion components |
 //! | [`motion`] | split of a motion into rotation, tangential and radial translation |
+//! | [`removal`] | the two orders in which rotation and translation come off a point |
+//! | [`warp`] | images read along a flow |
+//! | [`photometric`] | similarity of two windows of colours |
 //! | [`alignment`] | alignment with imaging plane and optical axis |
 //! | [`ratios`] | depth-to-translation ratios |
 //! | [`loss_forms`] | the four geometric losses over lists of pixels |
@@ -29,7 +32,9 @@ pub mod ledger;
 pub mod loss_forms;
 pub mod losses;
 pub mod motion;
+pub mod photometric;
 pub mod ratios;
+pub mod removal;
 pub mod scenes;
 pub mod se3;
 pub mod so3;
@@ -39,6 +44,7 @@ pub mod taped;
 mod testing;
 pub mod trajectory;
 pub mod umeyama;
+pub mod warp;
 
 pub use alignment::Convention;
 pub use camera::Intrinsics;

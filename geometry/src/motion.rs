@@ -45,7 +45,7 @@ impl MotionParts {
 
     /// Split with the translation in the target frame: `T = T_rot T_rad T_tan` with `t' = R^T t`.
     ///
-    /// Its parts differ from those of [`MotionParts::in_source_frame`] by `(R^T - I) t`.
+    /// Its parts differ from those of [`MotionParts::in_source_frame`] by [`translation_gap`].
     #[must_use]
     pub fn in_target_frame(source_from_target: &Se3) -> Self {
         let translation = source_from_target.translation_in_from_frame();
@@ -63,6 +63,20 @@ impl MotionParts {
     pub fn rotation_last(&self) -> Se3 {
         self.rotation * self.radial * self.tangential
     }
+}
+
+/// Difference `t' - t = (R^T - I) t` of the translations of both splits.
+///
+/// Its length is at most the rotation angle times `|t|`; it vanishes without rotation and for a rotation about `t`.
+#[must_use]
+pub fn translation_gap(source_from_target: &Se3) -> Vector3<f64> {
+    source_from_target.translation_in_from_frame() - source_from_target.translation
+}
+
+/// [`translation_gap`] to first order in the rotation vector `omega`: `-(omega x t)`, off by at most `|omega|^2 |t| / 2`.
+#[must_use]
+pub fn translation_gap_first_order(omega: &Vector3<f64>, translation: &Vector3<f64>) -> Vector3<f64> {
+    -omega.cross(translation)
 }
 
 /// What is left of `motion` after an estimated rotation and tangential translation were undone

@@ -61,6 +61,15 @@ pub fn exp(w: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + generator * k.a + generator * generator * k.b
 }
 
+/// What two rotations, given by their vectors in radians, differ by in the other order: `exp(a) exp(b) - exp(b) exp(a)`.
+///
+/// To lowest order `hat(a x b)`, of Frobenius norm `sqrt(2) |a x b|`.
+#[must_use]
+pub fn commutator(a: &Vector3<f64>, b: &Vector3<f64>) -> Matrix3<f64> {
+    let (a, b) = (exp(a), exp(b));
+    a * b - b * a
+}
+
 /// Rotation angle in `[0, pi]`, radians, accurate at both ends.
 #[must_use]
 pub fn angle(rotation: &Matrix3<f64>) -> f64 {
@@ -152,6 +161,13 @@ mod tests {
             let error = (back - w).norm().min((back + w).norm());
             assert!(error < 1e-9, "gap {gap}: {error}");
         }
+    }
+
+    #[test]
+    fn rotations_about_one_axis_commute_and_others_do_not() {
+        let (x, y) = (Vector3::x() * 0.01, Vector3::y() * 0.01);
+        assert_eq!(commutator(&x, &(x * 2.0)).norm(), 0.0);
+        assert!((commutator(&x, &y) - hat(&x.cross(&y))).norm() < 0.01 * commutator(&x, &y).norm());
     }
 
     #[test]

@@ -4,6 +4,8 @@ use nalgebra::{Vector2, Vector3};
 
 use super::tangential::focal_scaled;
 use crate::camera::Intrinsics;
+use crate::homography::{rotation_homography, transfer};
+use crate::se3::Se3;
 
 /// Partial derivatives of the flow at one pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,6 +42,18 @@ pub fn translational_gradients(
         t_y: Vector2::new(0.0, camera.fv / source_depth),
         t_z: -(d * z + tangential) / square,
     })
+}
+
+/// Derivative by the target depth of the flow of a motion with rotation; `None` where the point leaves the front of a camera.
+///
+/// **Formula**: `df/dz = -(h_3 . p~) [f o t - (p_R - p0) t_z] / (z_R + t_z)^2`, `p_R = pi(H p~)`, `z_R = z h_3 . p~`: the
+/// derivative of [`translational_gradients`] at the rotated pixel, times `dz_R / dz`.
+#[must_use]
+pub fn rigid_depth_gradient(camera: &Intrinsics, source_from_target: &Se3, p: &Vector2<f64>, z: f64) -> Option<Vector2<f64>> {
+    let h = rotation_homography(camera, &source_from_target.rotation);
+    let (rotated, ratio) = transfer(&h, p)?;
+    let at_rotated = translational_gradients(camera, &source_from_target.translation, &rotated, z * ratio)?;
+    Some(at_rotated.z * ratio)
 }
 
 #[cfg(test)]

@@ -9,3 +9,4 @@ pub mod rigid;
 pub mod rotational;
 pub mod tangential;
 pub mod translational;
+pub mod uniformity;

@@ -23,6 +23,20 @@ pub fn scale_change(z: f64, t_z: f64) -> f64 {
     z / (z + t_z)
 }
 
+/// [`scale_change`] to first order in `t_z / z`, the form the introduction speaks of: `1 - t_z / z`.
+///
+/// Off by `t_z^2 / [z (z + t_z)]`.
+#[must_use]
+pub fn scale_change_first_order(z: f64, t_z: f64) -> f64 {
+    1.0 - t_z / z
+}
+
+/// Derivative of [`scale_change`] by `t_z`: `-z / (z + t_z)^2`, at `t_z = 0` the `-1 / z` of the first order.
+#[must_use]
+pub fn scale_change_slope(z: f64, t_z: f64) -> f64 {
+    -z / ((z + t_z) * (z + t_z))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,6 +1,6 @@
 //! Flow of a static scene under any rigid motion (eq. `p_s`).
 
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 
 use super::translational::translational_flow;
 use crate::camera::Intrinsics;
@@ -17,6 +17,22 @@ pub fn rigid_flow(camera: &Intrinsics, source_from_target: &Se3, p: &Vector2<f64
     let point = source_from_target.transform(&(camera.ray(p.x, p.y) * z));
     let pixel = camera.project(&point)?;
     Some((pixel - p, point.z))
+}
+
+/// Homogeneous source pixel of eq. `p_s` as printed, divided by a source depth that was predicted.
+///
+/// **Formula**: `(1 / z_hat) K (z R K^-1 p~ + t)`; the third component is `z_s / z_hat`.
+/// **Reading**: this is a pixel `(u, v, 1)` only where the prediction `z_hat` equals the transformed depth `z_s`. Dividing by the
+/// third component mends it and takes `z_hat` out again. For comparison only.
+#[must_use]
+pub fn printed_correspondence(
+    camera: &Intrinsics,
+    source_from_target: &Se3,
+    p: &Vector2<f64>,
+    z: f64,
+    predicted_source_depth: f64,
+) -> Vector3<f64> {
+    camera.matrix() * source_from_target.transform(&(camera.ray(p.x, p.y) * z)) / predicted_source_depth
 }
 
 /// The same flow as the rotational flow plus the translational flow at the rotated pixel.
@@ -40,7 +56,6 @@ pub fn rigid_flow_by_parts(
 mod tests {
     use super::*;
     use crate::testing;
-    use nalgebra::Vector3;
     use proptest::prelude::*;
 
     #[test]

@@ -36,6 +36,19 @@ pub fn rotational_flow(camera: &Intrinsics, rotation: &Matrix3<f64>, p: &Vector2
     (image.z > 0.0).then(|| (quadratic_terms(&h, p) + linear) / image.z)
 }
 
+/// Second difference `f(p - s) - 2 f(p) + f(p + s)` of the rotational flow for a step `s`, pixels.
+///
+/// **Formula**: with `n = (h_1 . p~, h_2 . p~)`, `w = h_3 . p~` and their changes `dn`, `dw` over one step,
+/// `2 dw (n dw - dn w) / [w (w^2 - dw^2)]`. It vanishes exactly where `dw = 0`: the flow is affine in the pixel when
+/// `h_31 = h_32 = 0`, that is for rotations about the optical axis, and only then.
+/// `None` unless all three pixels stay in front of the camera.
+#[must_use]
+pub fn rotational_bend(homography: &Matrix3<f64>, p: &Vector2<f64>, step: &Vector2<f64>) -> Option<Vector2<f64>> {
+    let (image, change) = (homography * Vector3::new(p.x, p.y, 1.0), homography * Vector3::new(step.x, step.y, 0.0));
+    let (w, dw) = (image.z, change.z);
+    (w > dw.abs()).then(|| (image.xy() * dw - change.xy() * w) * (2.0 * dw / (w * (w * w - dw * dw))))
+}
+
 /// First-order flow of a small rotation vector; the error grows with the square of the angle.
 ///
 /// **Formula**: `f_u (w_y (1 + x^2) - w_x x y - w_z y)`, `f_v (-w_x (1 + y^2) + w_y x y + w_z x)`

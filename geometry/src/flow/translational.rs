@@ -2,7 +2,8 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::tangential::focal_scaled;
+use super::radial::{radial_flow, scale_change};
+use super::tangential::{focal_scaled, tangential_flow};
 use crate::camera::Intrinsics;
 
 /// Flow of the translation `t` without rotation; `None` unless `z + t_z > 0`.
@@ -23,11 +24,22 @@ pub fn focus_of_expansion(camera: &Intrinsics, t: &Vector3<f64>) -> Option<Vecto
     (t.z != 0.0).then(|| camera.principal_point() + focal_scaled(camera, t) / t.z)
 }
 
+/// The same flow about its focus: `f = -t_z / (z + t_z) (p - e)`; `None` for `t_z = 0` and unless `z + t_z > 0`.
+#[must_use]
+pub fn flow_about_focus(camera: &Intrinsics, t: &Vector3<f64>, p: &Vector2<f64>, z: f64) -> Option<Vector2<f64>> {
+    let focus = focus_of_expansion(camera, t)?;
+    (z + t.z > 0.0).then(|| (p - focus) * (-t.z / (z + t.z)))
+}
+
+/// The same flow from the flows of both parts: `f = z / (z + t_z) f_tan + f_rad`; `None` unless `z + t_z > 0`.
+#[must_use]
+pub fn flow_from_parts(camera: &Intrinsics, t: &Vector3<f64>, p: &Vector2<f64>, z: f64) -> Option<Vector2<f64>> {
+    Some(tangential_flow(camera, t, z) * scale_change(z, t.z) + radial_flow(camera, t.z, p, z)?)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flow::radial::radial_flow;
-    use crate::flow::tangential::tangential_flow;
     use crate::testing;
     use proptest::prelude::*;
 
