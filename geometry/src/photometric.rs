@@ -33,17 +33,12 @@ impl Moments {
     #[track_caller]
     pub fn of(x: &[f64], y: &[f64]) -> Self {
         assert!(!x.is_empty() && x.len() == y.len(), "windows of {} and {} colours: equal and not empty", x.len(), y.len());
-        let mean = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>() / x.len() as f64;
-        let (mean_x, mean_y) = (mean(&mut x.iter().copied()), mean(&mut y.iter().copied()));
-        let product =
-            |a: &[f64], mean_a: f64, b: &[f64], mean_b: f64| mean(&mut a.iter().zip(b).map(|(a, b)| (a - mean_a) * (b - mean_b)));
-        Self {
-            mean_x,
-            mean_y,
-            variance_x: product(x, mean_x, x, mean_x),
-            variance_y: product(y, mean_y, y, mean_y),
-            covariance: product(x, mean_x, y, mean_y),
-        }
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        let (mean_x, mean_y) = (mean(x), mean(y));
+        let centred = |values: &[f64], mean: f64| values.iter().map(|v| v - mean).collect::<Vec<_>>();
+        let (x, y) = (centred(x, mean_x), centred(y, mean_y));
+        let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / a.len() as f64;
+        Self { mean_x, mean_y, variance_x: product(&x, &x), variance_y: product(&y, &y), covariance: product(&x, &y) }
     }
 
     /// Structural similarity, in `[-1, 1]` but for rounding; 1 for equal windows.

@@ -11,8 +11,22 @@ macro_rules! index {
 
 index! {
     l01_intrinsics,
+    l02_direction_of_t,
+    l03_rigid_flow,
+    l04_warp,
+    l05_photometric,
+    l06_decomposition,
+    l07_rot_homography,
+    l08_rot_flow,
     l09_rot_flow_inline,
+    l10_rot_flow_nonlinear,
+    l11_rot_depth_free,
+    l12_rot_flow_first_order,
+    l13_footnote_order,
+    l14_tan_flow,
     l15_rad_flow,
+    l16_scale_change,
+    l17_combined_flow,
     l20_grad_tz,
 }
 
