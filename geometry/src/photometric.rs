@@ -81,6 +81,20 @@ pub fn similarity_gradient(x: &[f64], y: &[f64], c1: f64, c2: f64) -> Vec<f64> {
     x.iter().zip(y).map(|(&x, &y)| slope(x, y)).collect()
 }
 
+/// Derivatives of the error of one channel, `alpha (1 - S) / 2 + (1 - alpha) |x_c - y_c|`, by every colour of the window `x`; `c` is
+/// the place of the pixel in its window. Where the clamp of the first factor is not active; at `x_c = y_c` the second has slope 0.
+///
+/// **Panics** as [`Moments::of`], and when the window has no place `c`.
+#[must_use]
+#[track_caller]
+pub fn channel_error_gradient(x: &[f64], y: &[f64], centre: usize, alpha: f64) -> Vec<f64> {
+    let mut slopes = similarity_gradient(x, y, C1, C2);
+    slopes.iter_mut().for_each(|slope| *slope *= -0.5 * alpha);
+    let difference = x[centre] - y[centre];
+    slopes[centre] += (1.0 - alpha) * if difference == 0.0 { 0.0 } else { difference.signum() };
+    slopes
+}
+
 /// First factor of the loss: `(1 - S) / 2`, clamped to `[0, 1]`.
 ///
 /// **Reading**: the similarity of two windows that hardly differ can exceed 1 by rounding; without the clamp the loss would then
@@ -133,6 +147,13 @@ mod tests {
     fn the_clamp_keeps_the_interval_and_what_is_no_number() {
         assert_eq!([dissimilarity(1.0 + 1e-15), dissimilarity(-1.0 - 1e-15), dissimilarity(0.0)], [0.0, 1.0, 0.5]);
         assert!(dissimilarity(f64::NAN).is_nan());
+    }
+
+    #[test]
+    fn equal_colours_have_no_slope() {
+        let window = [0.1, 0.5, 0.9];
+        assert!(channel_error_gradient(&window, &window, 1, ALPHA).iter().all(|g| g.abs() < 1e-15));
+        assert!((channel_error_gradient(&[0.6; 3], &[0.5; 3], 1, 0.0)[1] - 1.0).abs() < 1e-15);
     }
 
     #[test]

@@ -86,8 +86,11 @@ mod tests {
     }
 
     #[test]
-    fn points_behind_the_source_camera_have_no_flow() {
-        let back = Se3 { translation: Vector3::new(0.0, 0.0, -13.0), ..Se3::identity() };
-        assert!(rigid_flow(&scenes::kitti640(), &back, &Vector2::new(451.0, 63.0), 12.5).is_none());
+    fn points_behind_the_source_camera_have_no_flow_and_no_derivative() {
+        let (camera, p, t) = (scenes::kitti640(), Vector2::new(451.0, 63.0), Vector3::new(0.0, 0.0, -13.0));
+        assert!(rigid_flow(&camera, &Se3 { translation: t, ..Se3::identity() }, &p, 12.5).is_none());
+        let (values, rows) = taped::rigid_flow(&camera, &Vector3::zeros(), &t, &p, 12.5);
+        assert_eq!(values, [0.0, 0.0, -0.5]);
+        assert!(rows[..2].iter().flatten().all(|&slope| slope == 0.0));
     }
 }

@@ -4,7 +4,7 @@ use dimode_autodiff::proof::{Number, total};
 use dimode_autodiff::{Shape, Tensor, Var};
 
 use crate::ledger::{Claim, Draw, Findings, Trial, Verdict, forward, taped};
-use crate::photometric::{ALPHA, C1, C2, Moments, dissimilarity, photometric_error, similarity_gradient};
+use crate::photometric::{ALPHA, C1, C2, Moments, channel_error_gradient, dissimilarity, photometric_error};
 
 pub(super) static CLAIM: Claim = Claim {
     id: "L05",
@@ -22,6 +22,7 @@ pub(super) static CLAIM: Claim = Claim {
         "photometric::Moments::of",
         "photometric::Moments::similarity",
         "photometric::similarity_gradient",
+        "photometric::channel_error_gradient",
         "photometric::dissimilarity",
         "photometric::photometric_error",
     ],
@@ -121,13 +122,8 @@ fn slopes(x: &[f64; COLOURS], y: &[f64; COLOURS], loss: f64, f: &mut Findings) {
 
 /// Derivatives of the loss in closed form, where the clamp is not active.
 fn gradient(x: &[f64; COLOURS], y: &[f64; COLOURS]) -> Vec<f64> {
-    let channel = |(x, y): (&[f64], &[f64])| {
-        let mut slopes = similarity_gradient(x, y, C1, C2);
-        slopes.iter_mut().for_each(|s| *s *= -0.5 * ALPHA / CHANNELS as f64);
-        slopes[CENTRE] += (1.0 - ALPHA) / CHANNELS as f64 * (x[CENTRE] - y[CENTRE]).signum();
-        slopes
-    };
-    windows(x).zip(windows(y)).flat_map(channel).collect()
+    let slopes = windows(x).zip(windows(y)).flat_map(|(x, y)| channel_error_gradient(x, y, CENTRE, ALPHA));
+    slopes.map(|slope| slope / CHANNELS as f64).collect()
 }
 
 /// The loss once more, variances as means of squares minus squared means.
