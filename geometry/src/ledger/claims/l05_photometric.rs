@@ -71,7 +71,9 @@ fn check(trial: &mut Trial) {
         let input = Input { size: 1e-9, ..Input::draw(&mut trial.draw) };
         let similarity = similarities(&input.x(), &input.y)[0];
         trial.findings.gap("windows that hardly differ: SSIM above 1 without the clamp", similarity.max(1.0) - 1.0, 2e-16);
-        trial.findings.residual("windows that hardly differ: first factor, clamped", dissimilarity(similarity), 1e-14);
+        let factor = dissimilarity(similarity);
+        trial.findings.residual("windows that hardly differ: first factor, clamped", factor, 1e-14);
+        trial.findings.residual("windows that hardly differ: first factor beyond [0, 1]", factor - factor.clamp(0.0, 1.0), 0.0);
     }
 }
 
