@@ -12,7 +12,10 @@
 //! | [`umeyama`] | alignment of point sets |
 //! | [`homography`], [`flow`] | image motion of the single motion components |
 //! | [`motion`] | split of a motion into rotation, tangential and radial translation |
+//! | [`deviation`] | what wrong estimates leave over |
+//! | [`backprojection`] | source points from sampled depth |
 //! | [`alignment`] | alignment with imaging plane and optical axis |
+//! | [`motion_statistics`] | sizes of recorded motions, and what the printed alignment costs on them |
 //! | [`ratios`] | depth-to-translation ratios |
 //! | [`loss_forms`] | the four geometric losses over lists of pixels |
 //! | [`taped`] | the same geometry as differentiable operations |
@@ -21,7 +24,9 @@
 //! | [`ledger`] | every claim of the paper with its verdict and check |
 
 pub mod alignment;
+pub mod backprojection;
 pub mod camera;
+pub mod deviation;
 pub mod error;
 pub mod flow;
 pub mod homography;
@@ -29,6 +34,7 @@ pub mod ledger;
 pub mod loss_forms;
 pub mod losses;
 pub mod motion;
+pub mod motion_statistics;
 pub mod ratios;
 pub mod scenes;
 pub mod se3;

@@ -3,6 +3,8 @@
 //! The road is seen by a KITTI-like camera of 640x192, the room by a hand-held camera of 512x288; both on a grid of every
 //! sixteenth pixel, with smooth depth. The numbers of `tests/golden/derivations` were computed on them with 40 digits.
 
+pub mod families;
+
 use nalgebra::{Vector2, Vector3};
 
 use crate::alignment::Match;
