@@ -50,6 +50,16 @@ pub fn residual_products(truth: &Se3, estimate: &Se3) -> ResidualRows {
     }
 }
 
+/// Source points turned by the estimated rotation and moved by the estimated tangential part, or by the radial part:
+/// `P_s' = R_hat P_s + tan(t_hat)` and `R_hat P_s + rad(t_hat)`, with `T` read from source to target.
+///
+/// What is left to the target point is `P_t = T_rad dT_rad P_s'` with the first of [`residual_rows`], and likewise for the other.
+#[must_use]
+pub fn partly_moved_points(estimate: &Se3, source_point: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let turned = estimate.rotation * source_point;
+    [turned + tangential_part(&estimate.translation), turned + radial_part(&estimate.translation)]
+}
+
 /// Deviation left by the alignment when pose and translation are estimates, target-frame convention.
 ///
 /// `E = R_hat^T R`; the planar alignment leaves `[E, (E - I) t' - rad(t'_hat - t')]`, the axial one

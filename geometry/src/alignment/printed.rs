@@ -9,8 +9,9 @@ use nalgebra::{Vector2, Vector3};
 use crate::camera::Intrinsics;
 use crate::flow::tangential::focal_scaled;
 use crate::flow::translational::translational_flow;
-use crate::loss_forms::{axial, mean, planar};
+use crate::loss_forms::{axial, mean, pixel_term, planar};
 use crate::motion::{radial_part, tangential_part};
+use crate::ratios::{radial_ratio, tangential_ratios};
 use crate::se3::Se3;
 
 /// `delta = t' - t = (R^T - I) t`, in the unit of `t`: what the printed alignment fails to remove.
@@ -116,6 +117,23 @@ pub fn tangential_ratio_factors(source_from_target: &Se3) -> Vector2<f64> {
 pub fn radial_ratio_error_first_order(camera: &Intrinsics, source_from_target: &Se3, d: &Vector2<f64>, z: f64) -> Option<f64> {
     let t_z = source_from_target.translation.z;
     focus_offset(camera, source_from_target).map(|o| (z + t_z) / z * d.dot(&o) / d.norm_squared())
+}
+
+/// Pixel terms `E[|rho t - z| / z]` of eqs. `lt` (x, y) and `lr` (z) after the printed alignment.
+///
+/// Not finite where a flow component vanishes, and NaN where a point comes behind the camera.
+#[must_use]
+pub fn pixel_terms(camera: &Intrinsics, source_from_target: &Se3, pixels: &[Vector2<f64>], depths: &[f64]) -> Vector3<f64> {
+    let nowhere = Vector2::repeat(f64::NAN);
+    let ratios = |p: &Vector2<f64>, z: f64| {
+        let plane = planar_flow(camera, source_from_target, p, z).unwrap_or(nowhere);
+        let axis = axial_flow(camera, source_from_target, p, z).unwrap_or(nowhere);
+        let tangential = tangential_ratios(camera, &plane);
+        Vector3::new(tangential.x, tangential.y, radial_ratio(&axis, &(p - camera.principal_point())))
+    };
+    let ratios: Vec<_> = pixels.iter().zip(depths).map(|(p, &z)| ratios(p, z)).collect();
+    let t = source_from_target.translation;
+    Vector3::from_fn(|k, _| pixel_term(&ratios.iter().map(|rho| rho[k]).collect::<Vec<_>>(), depths, t[k]))
 }
 
 #[cfg(test)]
