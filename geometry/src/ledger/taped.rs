@@ -1,7 +1,7 @@
 //! The tape's side of comparisons: values and derivatives of taped geometry at single pixels and over scenes.
 
 use dimode_autodiff::{Shape, Tape, Tensor, Var};
-use nalgebra::Vector2;
+use nalgebra::{Vector2, Vector3};
 
 use crate::camera::Intrinsics;
 
@@ -30,6 +30,21 @@ pub fn jacobian(inputs: &[Tensor<f64>], f: impl for<'t> Fn(&[Var<'t, f64>]) -> V
 #[must_use]
 pub fn column(values: &[f64]) -> Tensor<f64> {
     Tensor::from_vec(Shape::new(1, values.len(), 1, 1), values.to_vec())
+}
+
+/// Flow of eq. `p_s` and source depth at one pixel, on the tape: the three values, and for each a row of derivatives by the rotation
+/// vector (columns 0 to 2), the translation in the source frame (3 to 5) and the target depth (6).
+#[must_use]
+pub fn rigid_flow(
+    camera: &Intrinsics,
+    omega: &Vector3<f64>,
+    t: &Vector3<f64>,
+    p: &Vector2<f64>,
+    z: f64,
+) -> (Vec<f64>, Vec<Vec<f64>>) {
+    let one_pixel = [pixel_camera(camera, p)];
+    let inputs = [column(omega.as_slice()), column(t.as_slice()), column(&[z])];
+    jacobian(&inputs, |v| crate::taped::rigid_flow(v[2], crate::taped::so3_exp(v[0]), v[1], &one_pixel))
 }
 
 /// The camera of a one-pixel image that shows pixel `p` of another: taped maps of one entry then belong to `p`.
