@@ -2,6 +2,8 @@
 
 use super::claim::Claim;
 
+mod flow_gradients;
+
 macro_rules! index {
     ($($file:ident,)*) => {
         $(mod $file;)*
@@ -13,7 +15,17 @@ index! {
     l01_intrinsics,
     l09_rot_flow_inline,
     l15_rad_flow,
+    l18_grad_z,
+    l19_grad_tx_ty,
     l20_grad_tz,
+    l21_grad_z_claim,
+    l22_cross_influence,
+    l23_ideal_decomposition,
+    l24_residual_rows,
+    l25_residual_remark,
+    l26_axis_plane_equivalence,
+    l27_backprojection,
+    l34_residual_target_frame,
 }
 
 /// All claims, by number.
