@@ -87,6 +87,18 @@ pub fn alignment_products(truth: &Se3, estimate: &Se3) -> (Se3, Se3) {
     (planar, axial)
 }
 
+/// What estimates leave when `P_s - part(t_hat)` is compared with the target turned by `R_hat` (correction C of the alignment):
+/// `[dR^-1, -dt_tan]` beside `T_rad` and `[dR^-1, -dt_rad]` beside `T_tan`, without the cross term of eq. `residual_rot`.
+#[must_use]
+pub fn rotated_target_residual(truth: &Se3, estimate: &Se3) -> ResidualRows {
+    let rotation = rotation_deviation(truth, estimate).transpose();
+    let error = estimate.translation - truth.translation;
+    ResidualRows {
+        radial: Se3 { rotation, translation: -tangential_part(&error) },
+        tangential: Se3 { rotation, translation: -radial_part(&error) },
+    }
+}
+
 /// Translation that a rotation deviation adds to the other part, from eq. `residual_rot`: `(I - dR^-1) v`.
 #[must_use]
 pub fn induced_translation(deviation: &Matrix3<f64>, v: &Vector3<f64>) -> Vector3<f64> {

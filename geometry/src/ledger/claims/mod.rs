@@ -25,6 +25,10 @@ index! {
     l25_residual_remark,
     l26_axis_plane_equivalence,
     l27_backprojection,
+    l28_align_printed,
+    l29_align_target_frame,
+    l30_align_source_to_target,
+    l31_align_rotated_target,
     l34_residual_target_frame,
 }
 
