@@ -1,6 +1,7 @@
 //! Gradients of the flow, decomposition and alignment (L18 to L35).
 
-use dimode_geometry::alignment::{self, Convention, Match, corrections, printed};
+use dimode_geometry::alignment::corrections::{self, AlignedBoth, Referred};
+use dimode_geometry::alignment::{self, Convention, Match, printed};
 use dimode_geometry::backprojection::{InverseDepthPlane, source_point};
 use dimode_geometry::deviation::{self, alignment_products, alignment_residual, residual_products, residual_rows};
 use dimode_geometry::flow::gradients::{depth_gradient_about_focus, translational_gradients};
@@ -8,7 +9,7 @@ use dimode_geometry::flow::radial::radial_flow;
 use dimode_geometry::flow::tangential::tangential_flow;
 use dimode_geometry::loss_forms::{axial, planar, radial, tangential};
 use dimode_geometry::motion::MotionParts;
-use dimode_geometry::scenes::{self, Reference, families};
+use dimode_geometry::scenes::{self, AlignedScene, Reference, families};
 use dimode_geometry::{Intrinsics, Se3, so3};
 use nalgebra::{Vector2, Vector3};
 use serde_json::Value;
@@ -105,29 +106,8 @@ fn reference_of(e: &Entry) -> Reference {
     found
 }
 
-/// Aligned flows with what the losses need beside them.
-#[derive(Default)]
-struct Flows {
-    planar: Vec<Vector2<f64>>,
-    axial: Vec<Vector2<f64>>,
-    d: Vec<Vector2<f64>>,
-    depths: Vec<f64>,
-}
-
-fn conventional(r: &Reference, convention: Convention) -> Flows {
-    let (camera, rotation, a) = (&r.scene.camera, &r.motion.rotation, convention.translation(&r.motion));
-    let matches = r.scene.matches(&r.motion);
-    let flow = |aligned: Option<alignment::Aligned>| aligned.unwrap().flow;
-    Flows {
-        planar: matches.iter().map(|m| flow(alignment::planar(camera, rotation, &a, m))).collect(),
-        axial: matches.iter().map(|m| flow(alignment::axial(camera, rotation, &a, m))).collect(),
-        d: r.scene.offsets(),
-        depths: r.scene.depths.clone(),
-    }
-}
-
-fn check_losses(e: &Entry, place: &str, camera: &Intrinsics, flows: &Flows, a: &Vector3<f64>, atol: f64) {
-    let Flows { planar: pla, axial: axi, d, depths } = flows;
+fn check_losses(e: &Entry, place: &str, flows: &AlignedScene, atol: f64) {
+    let AlignedScene { camera, planar: pla, axial: axi, offsets: d, depths, translation: a } = flows;
     let values = [
         ("lpla_printed", planar::printed(pla)),
         ("lpla_circ", planar::circular(pla)),
@@ -146,7 +126,7 @@ fn check_losses(e: &Entry, place: &str, camera: &Intrinsics, flows: &Flows, a: &
 fn reference_motion(e: &Entry) {
     let r = reference_of(e);
     for (place, convention, atol) in [("printed", Convention::AsPrinted, 0.0), ("target_frame", Convention::Consistent, 1e-9)] {
-        check_losses(e, place, &r.scene.camera, &conventional(&r, convention), &convention.translation(&r.motion), atol);
+        check_losses(e, place, &r.scene.aligned(&r.motion, convention), atol);
     }
     pixel_100(e, &r);
     corrected(e, &r);
@@ -174,12 +154,19 @@ fn pixel_100(e: &Entry, r: &Reference) {
     e.check(&at("rad_formula"), radial_flow(camera, in_target.z, &p, z).unwrap().as_slice());
 }
 
-/// Corrections C and C' of every pixel, with the references they name.
-fn referred(
-    r: &Reference,
-    align: fn(&Intrinsics, &Se3, &Match, f64) -> Option<corrections::AlignedBoth<corrections::Referred>>,
-) -> Flows {
-    let mut flows = Flows::default();
+/// Flows of corrections C and C' with the references they name.
+#[derive(Default)]
+struct ReferredFlows {
+    planar: Vec<Vector2<f64>>,
+    axial: Vec<Vector2<f64>>,
+    d: Vec<Vector2<f64>>,
+    depths: Vec<f64>,
+}
+
+type Correction = fn(&Intrinsics, &Se3, &Match, f64) -> Option<AlignedBoth<Referred>>;
+
+fn referred(r: &Reference, align: Correction) -> ReferredFlows {
+    let mut flows = ReferredFlows::default();
     for (m, &z) in r.scene.matches(&r.motion).iter().zip(&r.scene.depths) {
         let both = align(&r.scene.camera, &r.motion, m, z).unwrap();
         flows.planar.push(both.planar.flow);
@@ -192,7 +179,7 @@ fn referred(
 
 fn corrected(e: &Entry, r: &Reference) {
     let (camera, t) = (&r.scene.camera, r.motion.translation);
-    let target = conventional(r, Convention::Consistent);
+    let target = r.scene.aligned(&r.motion, Convention::Consistent);
     let differences = r.scene.matches(&r.motion).into_iter().enumerate().map(|(i, m)| {
         let both = corrections::source_to_target(camera, &r.motion.inverse(), &m).unwrap();
         (both.planar.flow - target.planar[i]).amax().max((both.axial.flow - target.axial[i]).amax())
@@ -231,8 +218,7 @@ fn family(e: &Entry) {
 
 fn family_row(family: &families::Family, motion: &Se3, degrees: f64, length: f64) -> Vec<f64> {
     let (camera, d) = (&family.scene.camera, family.scene.offsets());
-    let r = Reference { name: family.name, scene: family.scene.clone(), motion: *motion };
-    let flows = conventional(&r, Convention::AsPrinted);
+    let flows = family.scene.aligned(motion, Convention::AsPrinted);
     let (t, delta) = (motion.translation, printed::defect(motion));
     let pixel = printed::pixel_terms(camera, motion, &family.scene.pixels, &flows.depths);
     let factors = printed::tangential_ratio_factors(motion);

@@ -29,7 +29,10 @@ index! {
     l29_align_target_frame,
     l30_align_source_to_target,
     l31_align_rotated_target,
+    l32_align_residual,
+    l33_align_kitti,
     l34_residual_target_frame,
+    l35_align_jacobian,
 }
 
 /// All claims, by number.
