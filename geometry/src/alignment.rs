@@ -4,9 +4,13 @@
 //! Undoing the rotation and one part of the translation leaves a flow caused by the other part only:
 //! the planar flow is purely tangential, the axial flow purely radial.
 
+pub mod corrections;
+pub mod printed;
+
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::backprojection::source_point;
 use crate::camera::Intrinsics;
 use crate::motion::{radial_part, tangential_part};
 use crate::se3::Se3;
@@ -60,7 +64,7 @@ pub struct Match {
 /// Point of the match, turned into the target's orientation: `R^T D_st K^-1 p~_s`.
 #[must_use]
 pub fn unrotated_point(camera: &Intrinsics, rotation: &Matrix3<f64>, m: &Match) -> Vector3<f64> {
-    rotation.tr_mul(&(camera.ray(m.source.x, m.source.y) * m.source_depth))
+    rotation.tr_mul(&source_point(camera, &m.source, m.source_depth))
 }
 
 fn align(camera: &Intrinsics, rotation: &Matrix3<f64>, removed: Vector3<f64>, m: &Match) -> Option<Aligned> {

@@ -15,7 +15,10 @@
 //! | [`removal`] | the two orders in which rotation and translation come off a point |
 //! | [`warp`] | images read along a flow |
 //! | [`photometric`] | similarity of two windows of colours |
+//! | [`deviation`] | what wrong estimates leave over |
+//! | [`backprojection`] | source points from sampled depth |
 //! | [`alignment`] | alignment with imaging plane and optical axis |
+//! | [`motion_statistics`] | sizes of recorded motions, and what the printed alignment costs on them |
 //! | [`ratios`] | depth-to-translation ratios |
 //! | [`loss_forms`] | the four geometric losses over lists of pixels |
 //! | [`taped`] | the same geometry as differentiable operations |
@@ -24,7 +27,9 @@
 //! | [`ledger`] | every claim of the paper with its verdict and check |
 
 pub mod alignment;
+pub mod backprojection;
 pub mod camera;
+pub mod deviation;
 pub mod error;
 pub mod flow;
 pub mod homography;
@@ -33,6 +38,7 @@ pub mod loss_forms;
 pub mod losses;
 pub mod motion;
 pub mod photometric;
+pub mod motion_statistics;
 pub mod ratios;
 pub mod removal;
 pub mod scenes;

@@ -92,21 +92,6 @@ pub fn remaining_tangential(motion: &Se3, estimate: &MotionParts) -> Se3 {
     *motion * estimate.rotation.inverse() * estimate.radial.inverse()
 }
 
-/// Deviation left by the alignment when pose and translation are estimates, target-frame convention.
-///
-/// `E = R_hat^T R`; the planar alignment leaves `[E, (E - I) t' - rad(t'_hat - t')]`, the axial one
-/// the same with the tangential part. Returns `(planar, axial)`.
-/// **Reading**: replaces eq. `residual_rot`; the whole translation enters, not only the other part.
-#[must_use]
-pub fn alignment_residual(truth: &Se3, estimate: &Se3) -> (Se3, Se3) {
-    let rotation = estimate.rotation.tr_mul(&truth.rotation);
-    let t = truth.translation_in_from_frame();
-    let error = estimate.translation_in_from_frame() - t;
-    let turned = rotation * t - t;
-    let with = |part: Vector3<f64>| Se3 { rotation, translation: turned - part };
-    (with(radial_part(&error)), with(tangential_part(&error)))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -115,23 +100,6 @@ mod tests {
 
     fn gap(a: &Se3, b: &Se3) -> f64 {
         (a.rotation - b.rotation).abs().max() + (a.translation - b.translation).norm()
-    }
-
-    #[test]
-    fn residual_matches_reference_value() {
-        let pose = |w: [f64; 3], t: [f64; 3]| Se3::from_rotation_vector(&w.into(), t.into());
-        let truth = pose([0.03, -0.05, 0.02], [0.06, 0.04, -0.08]);
-        let estimate = pose([0.032, -0.047, 0.021], [0.066, 0.037, -0.085]);
-        let (planar, _) = alignment_residual(&truth, &estimate);
-        let expected = Vector3::new(0.000284298533312, -0.000223880002433, 0.00517431067159);
-        assert!((planar.translation - expected).norm() < 1e-12, "{}", planar.translation);
-    }
-
-    #[test]
-    fn perfect_estimates_leave_nothing() {
-        let truth = testing::handheld();
-        let (planar, axial) = alignment_residual(&truth, &truth);
-        assert!(gap(&planar, &Se3::identity()) < 1e-15 && gap(&axial, &Se3::identity()) < 1e-15);
     }
 
     proptest! {

@@ -3,12 +3,17 @@
 //! The road is seen by a KITTI-like camera of 640x192, the room by a hand-held camera of 512x288; both on a grid of every
 //! sixteenth pixel, with smooth depth. The numbers of `tests/golden/derivations` were computed on them with 40 digits.
 
+mod aligned;
+pub mod families;
+
 use nalgebra::{Vector2, Vector3};
 
 use crate::alignment::Match;
 use crate::camera::Intrinsics;
 use crate::flow::rigid::rigid_flow;
 use crate::se3::Se3;
+
+pub use aligned::AlignedScene;
 
 /// Distance between neighbouring pixels of the grids.
 pub const STEP: usize = 16;

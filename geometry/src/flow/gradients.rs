@@ -2,7 +2,8 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::tangential::focal_scaled;
+use super::tangential::{focal_scaled, tangential_flow};
+use super::translational::focus_of_expansion;
 use crate::camera::Intrinsics;
 use crate::homography::{rotation_homography, transfer};
 use crate::se3::Se3;
@@ -44,16 +45,74 @@ pub fn translational_gradients(
     })
 }
 
-/// Derivative by the target depth of the flow of a motion with rotation; `None` where the point leaves the front of a camera.
+/// The same derivatives for a motion with rotation, with respect to the target depth and the parts of `t` in the source frame.
 ///
-/// **Formula**: `df/dz = -(h_3 . p~) [f o t - (p_R - p0) t_z] / (z_R + t_z)^2`, `p_R = pi(H p~)`, `z_R = z h_3 . p~`: the
-/// derivative of [`translational_gradients`] at the rotated pixel, times `dz_R / dz`.
+/// **Formula**: with `p_R = pi(H p~)`, `h = h_3 p~` and `z_R = z h`, `df/dz = -h [f o t - (p_R - p0) t_z] / (z_R + t_z)^2`; the
+/// others are those of [`translational_gradients`] at `p_R` and `z_R`.
+/// `None` unless `h > 0` and `z_R + t_z > 0`.
 #[must_use]
-pub fn rigid_depth_gradient(camera: &Intrinsics, source_from_target: &Se3, p: &Vector2<f64>, z: f64) -> Option<Vector2<f64>> {
-    let h = rotation_homography(camera, &source_from_target.rotation);
-    let (rotated, ratio) = transfer(&h, p)?;
-    let at_rotated = translational_gradients(camera, &source_from_target.translation, &rotated, z * ratio)?;
-    Some(at_rotated.z * ratio)
+pub fn rigid_gradients(
+    camera: &Intrinsics,
+    source_from_target: &Se3,
+    p: &Vector2<f64>,
+    z: f64,
+) -> Option<TranslationalGradients> {
+    let (rotated, ratio) = transfer(&rotation_homography(camera, &source_from_target.rotation), p)?;
+    let gradients = translational_gradients(camera, &source_from_target.translation, &rotated, z * ratio)?;
+    Some(TranslationalGradients { z: gradients.z * ratio, ..gradients })
+}
+
+/// Length of `df/dz` from the distance to the focus of expansion `e`, pixels per depth unit, without rotation.
+///
+/// **Formula** (L21): `|df/dz| = |t_z| |p - e| / (z + t_z)^2`. `None` without a focus (`t_z = 0`) and unless `z + t_z > 0`.
+#[must_use]
+pub fn depth_gradient_about_focus(camera: &Intrinsics, t: &Vector3<f64>, p: &Vector2<f64>, z: f64) -> Option<f64> {
+    let source_depth = z + t.z;
+    let focus = focus_of_expansion(camera, t)?;
+    (source_depth > 0.0).then(|| t.z.abs() * (p - focus).norm() / (source_depth * source_depth))
+}
+
+/// Length of `df/dz` at the principal point, pixels per depth unit, without rotation: the tangential translation's share.
+///
+/// **Formula** (L21): `|f o t_tan| / (z + t_z)^2`. `None` unless `z + t_z > 0`.
+#[must_use]
+pub fn depth_gradient_at_principal_point(camera: &Intrinsics, t: &Vector3<f64>, z: f64) -> Option<f64> {
+    let source_depth = z + t.z;
+    (source_depth > 0.0).then(|| focal_scaled(camera, t).norm() / (source_depth * source_depth))
+}
+
+/// How much the radial translation changes the gradients of the tangential one, per depth unit: `d ln |df/dt_x| / dt_z`.
+///
+/// **Formula** (L22): `-1 / (z + t_z)`, the same for `t_y`: the direction stays, the size changes by `t_z / z` to first order.
+/// **Domain**: `z + t_z > 0`.
+#[must_use]
+pub fn radial_influence(z: f64, t_z: f64) -> f64 {
+    -1.0 / (z + t_z)
+}
+
+/// Mixed second derivatives `d2f / dt_x dt_z` and `d2f / dt_y dt_z`, pixels per squared depth unit, without rotation.
+///
+/// **Formula** (L22): `-(f_u, 0) / (z + t_z)^2`, `-(0, f_v) / (z + t_z)^2`. **Domain**: `z + t_z > 0`.
+#[must_use]
+pub fn mixed_second_derivatives(camera: &Intrinsics, z: f64, t_z: f64) -> [Vector2<f64>; 2] {
+    let square = (z + t_z) * (z + t_z);
+    [Vector2::new(-camera.fu / square, 0.0), Vector2::new(0.0, -camera.fv / square)]
+}
+
+/// Share of the tangential translation in `df/dt_z = -[d z + f o t_tan] / (z + t_z)^2`, relative to that of the pixel's offset.
+///
+/// **Formula** (L22): `|f o t_tan| / (r z)`, `r = |p - p0|`; infinite or NaN at the principal point. **Domain**: `z > 0`.
+#[must_use]
+pub fn tangential_influence(camera: &Intrinsics, t: &Vector3<f64>, p: &Vector2<f64>, z: f64) -> f64 {
+    tangential_influence_radius(camera, t, z) / (p - camera.principal_point()).norm()
+}
+
+/// Distance from the principal point, pixels, below which the tangential translation dominates `df/dt_z`.
+///
+/// **Formula** (L22): `|f o t_tan| / z`, the length of the tangential flow. **Domain**: `z > 0`.
+#[must_use]
+pub fn tangential_influence_radius(camera: &Intrinsics, t: &Vector3<f64>, z: f64) -> f64 {
+    tangential_flow(camera, t, z).norm()
 }
 
 #[cfg(test)]
@@ -70,6 +129,14 @@ mod tests {
         assert!((g.z - Vector2::new(-0.190897966319, 0.0994347648738)).norm() < 1e-11);
         assert!((g.t_x.x - 28.3358778626).abs() < 1e-9 && (g.t_y.y - 28.1404580153).abs() < 1e-9);
         assert!((g.t_z - Vector2::new(-10.1908979663, 2.61851873434)).norm() < 1e-9);
+    }
+
+    #[test]
+    fn reference_values_with_rotation() {
+        let motion = Se3::from_rotation_vector(&Vector3::new(0.03, -0.05, 0.02), Vector3::new(0.3, -0.1, 0.6));
+        let g = rigid_gradients(&testing::kitti640(), &motion, &Vector2::new(451.0, 63.0), 12.5).unwrap();
+        assert!((g.z - Vector2::new(-0.255727934023, 0.0700498558718)).norm() < 1e-11);
+        assert!(rigid_gradients(&testing::kitti640(), &motion, &Vector2::new(451.0, 63.0), -12.5).is_none());
     }
 
     #[test]

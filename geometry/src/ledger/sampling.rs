@@ -3,7 +3,9 @@
 use dimode_autodiff::rng::splitmix64;
 use nalgebra::{Vector2, Vector3};
 
+use crate::alignment::Match;
 use crate::camera::Intrinsics;
+use crate::flow::rigid::rigid_flow;
 use crate::se3::Se3;
 use crate::so3;
 
@@ -123,6 +125,13 @@ impl Case {
     #[must_use]
     pub fn in_target(&self) -> Vector3<f64> {
         self.motion.translation_in_from_frame()
+    }
+
+    /// Exact flow and source depth of the pixel; `None` behind the source camera.
+    #[must_use]
+    pub fn exact_match(&self) -> Option<Match> {
+        let (flow, source_depth) = rigid_flow(&self.camera, &self.motion, &self.pixel, self.depth)?;
+        Some(Match { target: self.pixel, source: self.pixel + flow, source_depth })
     }
 
     /// The case with another translation in the source frame.

@@ -4,6 +4,11 @@ use dimode_autodiff::{Shape, Tape, Tensor, Var};
 use nalgebra::{Vector2, Vector3};
 
 use crate::camera::Intrinsics;
+use crate::losses::{self, AlignedPair, LossOptions, PairInputs};
+use crate::scenes::{STEP, Scene};
+use crate::se3::Se3;
+use crate::taped::masks;
+use crate::taped::pose::pose_tensors;
 
 /// Values and derivatives of a function on the tape: the values of all entries of the result, and for each of them one row with
 /// the derivatives with respect to all entries of all inputs, in order.
@@ -45,6 +50,38 @@ pub fn rigid_flow(
     let one_pixel = [pixel_camera(camera, p)];
     let inputs = [column(omega.as_slice()), column(t.as_slice()), column(&[z])];
     jacobian(&inputs, |v| crate::taped::rigid_flow(v[2], crate::taped::so3_exp(v[0]), v[1], &one_pixel))
+}
+
+/// The four losses on the tape over a scene's exact matches under a motion, aligned with that motion: planar, axial, tangential,
+/// radial. The image has the scene's grid for pixels, seen by [`Scene::grid_camera`].
+#[must_use]
+pub fn scene_losses(scene: &Scene, motion: &Se3, options: &LossOptions) -> [f64; 4] {
+    let [columns, rows] = scene.grid;
+    let map = Shape::new(1, 1, rows, columns);
+    let matches = scene.matches(motion);
+    let flow = |c: usize, v: usize, u: usize| {
+        let m = &matches[v * columns + u];
+        (m.source - m.target)[c] / STEP as f64
+    };
+    let (tape, camera, mask) = (Tape::new(), [scene.grid_camera()], masks::everywhere(map));
+    let (rotation, translation) = pose_tensors(&[*motion]);
+    let inputs = PairInputs {
+        target_depth: tape.constant(Tensor::from_vec(map, scene.depths.clone())),
+        source_depth: tape.constant(Tensor::from_fn(map, |_, _, v, u| matches[v * columns + u].source_depth)),
+        flow: tape.constant(Tensor::from_fn(Shape::new(1, 2, rows, columns), |_, c, v, u| flow(c, v, u))),
+        rotation: tape.constant(rotation),
+        translation: tape.constant(translation),
+        intrinsics: &camera,
+        mask: &mask,
+    };
+    let pair = AlignedPair::from_sampled(&inputs, options);
+    let terms = [
+        losses::planar(&pair, options),
+        losses::axial(&pair, options),
+        losses::tangential(&pair, options),
+        losses::radial(&pair, options),
+    ];
+    terms.map(|term| term.mean.value().item())
 }
 
 /// The camera of a one-pixel image that shows pixel `p` of another: taped maps of one entry then belong to `p`.

@@ -22,6 +22,18 @@ pub fn circular(flows: &[Vector2<f64>]) -> f64 {
     2.0 * (1.0 - sum.norm() / flows.len() as f64)
 }
 
+/// Variance of the angles about the mean direction, each difference taken the short way round, rad^2.
+///
+/// The differences from the direction of `sum f / |f|` are wrapped to `(-pi, pi]` and their population variance is taken: no
+/// jump at the negative axis, equal to [`circular`] to second order.
+#[must_use]
+pub fn wrapped(flows: &[Vector2<f64>]) -> f64 {
+    let direction: Vector2<f64> = flows.iter().map(|f| f / f.norm()).sum();
+    let angle = |f: &Vector2<f64>| direction.perp(f).atan2(direction.dot(f));
+    let centre = mean(flows.iter().map(angle));
+    mean(flows.iter().map(|f| (angle(f) - centre).powi(2)))
+}
+
 /// Magnitude-weighted circular variance `2 (1 - |sum f| / sum |f|)`.
 #[must_use]
 pub fn weighted(flows: &[Vector2<f64>]) -> f64 {
@@ -58,6 +70,14 @@ mod tests {
         check(&[[0.0, 1.0], [0.0, -2.0], [0.0, 0.5], [0.0, -1.5]], 0.0, 2.0, 1.2);
         check(&[[1.0, 0.0], [1.0, 0.0], [2.0, 0.0], [-1.0, 0.0]], 1.85055082520, 1.0, 0.8);
         check(&[[1.0, 0.3], [0.8, -0.2], [1.5, 0.1], [0.9, 0.4]], 0.01589447169, 0.0628604790196, 0.0524351566505);
+    }
+
+    #[test]
+    fn parallel_flows_across_the_negative_axis_have_no_wrapped_variance() {
+        let leftward = list(&[[-1.0, 0.01], [-1.0, -0.01], [-2.0, 0.02], [-2.0, -0.02]]);
+        assert!((wrapped(&leftward) - 0.01f64.atan().powi(2)).abs() < 1e-15);
+        let mirrored = list(&[[1.0, 0.5], [1.0, -0.5]]);
+        assert!((wrapped(&mirrored) - 0.5f64.atan().powi(2)).abs() < 1e-15);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Preliminaries and motion components (L01 to L27).
 
-use dimode_geometry::flow::gradients::{rigid_depth_gradient, translational_gradients};
+use dimode_geometry::flow::gradients::{rigid_gradients, translational_gradients};
 use dimode_geometry::flow::radial::{radial_flow, scale_change, scale_change_first_order};
 use dimode_geometry::flow::rigid::{printed_correspondence, rigid_flow, rigid_flow_by_parts};
 use dimode_geometry::flow::rotational::{printed_quadratic_terms, quadratic_terms, rotational_flow, rotational_flow_first_order};
@@ -205,5 +205,5 @@ fn with_rotation(e: &Entry) {
     let (rotated, ratio) = transfer(&rotation_homography(&camera, &motion.rotation), &p).unwrap();
     e.check("p_rotated", rotated.as_slice());
     e.check("z_rotated", &[z * ratio]);
-    e.check("grad_z", rigid_depth_gradient(&camera, &motion, &p, z).unwrap().as_slice());
+    e.check("grad_z", rigid_gradients(&camera, &motion, &p, z).unwrap().z.as_slice());
 }

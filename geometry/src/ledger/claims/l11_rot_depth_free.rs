@@ -2,7 +2,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use crate::flow::gradients::rigid_depth_gradient;
+use crate::flow::gradients::rigid_gradients;
 use crate::flow::rigid::rigid_flow;
 use crate::ledger::{Case, Claim, Findings, Trial, Verdict, forward, taped};
 use crate::{Se3, scenes, so3};
@@ -19,7 +19,7 @@ pub(super) static CLAIM: Claim = Claim {
                  the bracket vanishes with t.",
     counter_example: None,
     correction: None,
-    functions: &["flow::rotational::rotational_flow", "flow::gradients::rigid_depth_gradient"],
+    functions: &["flow::rotational::rotational_flow", "flow::gradients::rigid_gradients"],
     check,
 };
 
@@ -40,7 +40,7 @@ fn at(case: &Case, f: &mut Findings) {
     let omega = so3::log(&motion.rotation);
     let flow = |z| rigid_flow(camera, motion, &p, z).map_or(Vector2::repeat(f64::NAN), |(flow, _)| flow);
     f.residual("flow at one depth - flow at another, px", (flow(z) - flow(case.extra(0, 0.5, 80.0))).norm(), 1e-10);
-    let closed = rigid_depth_gradient(camera, motion, &p, z).unwrap_or(Vector2::repeat(f64::NAN));
+    let closed = rigid_gradients(camera, motion, &p, z).map_or(Vector2::repeat(f64::NAN), |g| g.z);
     f.residual("df/dz, px/m", closed.norm(), 1e-12);
     let dual = forward::jacobian([z], |[z]| {
         forward::rigid_flow(camera, forward::fixed(omega.into()), forward::fixed([0.0; 3]), forward::fixed(p.into()), z).0
@@ -53,7 +53,7 @@ fn at(case: &Case, f: &mut Findings) {
     f.derivative("df/dz", closed.as_slice(), Some(&dual), Some(&[rows[0][6], rows[1][6]]), Some(&central), scale);
     // A translation of 1 % of the depth: now depth does count, and every way notices it.
     let moved = Se3 { translation: Vector3::new(0.01 * z, 0.0, 0.0), ..*motion };
-    let gradient = rigid_depth_gradient(camera, &moved, &p, z).map_or(f64::NAN, |g| g.norm());
+    let gradient = rigid_gradients(camera, &moved, &p, z).map_or(f64::NAN, |g| g.z.norm());
     f.residual("with 1 % of translation: 0.001 f / z over |df/dz|", 0.001 * camera.fu / z / gradient, 1.0);
 }
 

@@ -2,7 +2,7 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use crate::flow::gradients::{rigid_depth_gradient, translational_gradients};
+use crate::flow::gradients::{rigid_gradients, translational_gradients};
 use crate::flow::radial::radial_flow;
 use crate::flow::rigid::rigid_flow_by_parts;
 use crate::flow::tangential::tangential_flow;
@@ -30,7 +30,7 @@ pub(super) static CLAIM: Claim = Claim {
         "flow::translational::flow_about_focus",
         "flow::translational::focus_of_expansion",
         "flow::rigid::rigid_flow_by_parts",
-        "flow::gradients::rigid_depth_gradient",
+        "flow::gradients::rigid_gradients",
     ],
     check,
 };
@@ -105,7 +105,7 @@ fn with_rotation(case: &Case, f: &mut Findings) {
     let (other, source_depth) = forward::rigid_flow::<f64>(camera, omega.into(), t.into(), p.into(), z);
     let parts = rigid_flow_by_parts(camera, motion, &p, z).map_or(NOWHERE, |(rotational, rest)| rotational + rest);
     f.residual("rotational flow + flow at the turned pixel - full projection, px", (parts - Vector2::from(other)).norm(), 1e-10);
-    let closed = rigid_depth_gradient(camera, motion, &p, z).unwrap_or(NOWHERE);
+    let closed = rigid_gradients(camera, motion, &p, z).map_or(NOWHERE, |g| g.z);
     let dual = forward::jacobian([z], |[z]| {
         forward::rigid_flow(camera, forward::fixed(omega.into()), forward::fixed(t.into()), forward::fixed(p.into()), z).0
     });

@@ -2,8 +2,9 @@
 
 use nalgebra::{Vector2, Vector3};
 
+use super::flow_gradients::{self, Input};
 use crate::flow::gradients::translational_gradients;
-use crate::ledger::{Case, Claim, Findings, Trial, Verdict, forward, taped};
+use crate::ledger::{Case, Claim, Findings, Trial, Verdict};
 use crate::scenes;
 
 pub(super) static CLAIM: Claim = Claim {
@@ -13,11 +14,11 @@ pub(super) static CLAIM: Claim = Claim {
     statement: "df/dt_z = -[d z + f o t] / (z + t_z)^2.",
     verdict: Verdict::Exact,
     condition: Some("R = I; with a rotation the same with the rotated pixel and depth"),
-    formula: "df/dt_z = -[d z + f o t] / (z + t_z)^2,  d = p - p0, f o t = (f_u t_x, f_v t_y)",
+    formula: "df/dt_z = -[d z + f o t] / (z + t_z)^2,  d = p - p0, f o t = (f_u t_x, f_v t_y); with rotation d = p_R - p0 and z_R for z",
     derivation: "Quotient rule on f = [f o t - d t_z] / (z + t_z): [-d (z + t_z) - f o t + d t_z] / (z + t_z)^2.",
     counter_example: None,
     correction: None,
-    functions: &["flow::gradients::translational_gradients"],
+    functions: &["flow::gradients::translational_gradients", "flow::gradients::rigid_gradients"],
     check,
 };
 
@@ -31,29 +32,7 @@ fn check(trial: &mut Trial) {
 }
 
 fn at(case: &Case, f: &mut Findings) {
-    let case = case.without_rotation();
-    let (camera, t, p, z) = (&case.camera, case.motion.translation, case.pixel, case.depth);
-    let Some(closed) = translational_gradients(camera, &t, &p, z) else {
-        return f.residual("point in front of the camera", f64::NAN, 1.0);
-    };
-    let still = [0.0; 3];
-    let dual = forward::jacobian([t.z], |[t_z]| {
-        let t = [forward::fixed::<_, 2>([t.x, t.y])[0], forward::fixed::<_, 2>([t.x, t.y])[1], t_z];
-        let [z] = forward::fixed([z]);
-        forward::rigid_flow(camera, forward::fixed(still), t, forward::fixed(p.into()), z).0
-    });
-    let central = forward::central([t.z], [1e-6 * z], |[t_z]| {
-        forward::rigid_flow::<f64>(camera, still, [t.x, t.y, t_z], p.into(), z).0
-    });
-    let one_pixel = [taped::pixel_camera(camera, &p)];
-    let (_, rows) = taped::jacobian(&[taped::column(t.as_slice())], |v| {
-        let tape = v[0].tape();
-        let rotation = crate::taped::so3_exp(tape.constant(taped::column(&still)));
-        crate::taped::rigid_flow(tape.constant(taped::column(&[z])), rotation, v[0], &one_pixel).slice(1, 0, 2)
-    });
-    let tape = [rows[0][2], rows[1][2]];
-    let scale = (camera.fu.max(camera.fv) + p.norm()) / (z + t.z);
-    f.derivative("df/dt_z", closed.t_z.as_slice(), Some(&dual), Some(&tape), Some(&central), scale);
+    flow_gradients::compare(case, f, "df/dt_z", &[(Input::Radial, |g| g.t_z)]);
 }
 
 #[cfg(test)]

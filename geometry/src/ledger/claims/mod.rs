@@ -2,6 +2,8 @@
 
 use super::claim::Claim;
 
+mod flow_gradients;
+
 macro_rules! index {
     ($($file:ident,)*) => {
         $(mod $file;)*
@@ -27,7 +29,24 @@ index! {
     l15_rad_flow,
     l16_scale_change,
     l17_combined_flow,
+    l18_grad_z,
+    l19_grad_tx_ty,
     l20_grad_tz,
+    l21_grad_z_claim,
+    l22_cross_influence,
+    l23_ideal_decomposition,
+    l24_residual_rows,
+    l25_residual_remark,
+    l26_axis_plane_equivalence,
+    l27_backprojection,
+    l28_align_printed,
+    l29_align_target_frame,
+    l30_align_source_to_target,
+    l31_align_rotated_target,
+    l32_align_residual,
+    l33_align_kitti,
+    l34_residual_target_frame,
+    l35_align_jacobian,
 }
 
 /// All claims, by number.
