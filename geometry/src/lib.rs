@@ -15,11 +15,16 @@
 //! | [`alignment`] | alignment with imaging plane and optical axis |
 //! | [`ratios`] | depth-to-translation ratios |
 //! | [`loss_forms`] | the four geometric losses over lists of pixels |
+//! | [`aligned_scene`] | a whole scene after the alignments |
+//! | [`noise`] | what pixel noise costs the direction losses |
+//! | [`sensitivity`] | first-order responses of flow directions to errors |
+//! | [`observability`] | which motions the direction losses can see |
 //! | [`taped`] | the same geometry as differentiable operations |
 //! | [`losses`] | the four losses on the tape |
 //! | [`scenes`] | reference scenes and motions |
 //! | [`ledger`] | every claim of the paper with its verdict and check |
 
+pub mod aligned_scene;
 pub mod alignment;
 pub mod camera;
 pub mod error;
@@ -29,9 +34,12 @@ pub mod ledger;
 pub mod loss_forms;
 pub mod losses;
 pub mod motion;
+pub mod noise;
+pub mod observability;
 pub mod ratios;
 pub mod scenes;
 pub mod se3;
+pub mod sensitivity;
 pub mod so3;
 mod svd3;
 pub mod taped;
