@@ -18,6 +18,7 @@
 mod claim;
 mod claims;
 mod findings;
+mod flow_gradients;
 pub mod forward;
 mod sampling;
 pub mod taped;
