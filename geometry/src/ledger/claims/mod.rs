@@ -14,6 +14,10 @@ index! {
     l09_rot_flow_inline,
     l15_rad_flow,
     l20_grad_tz,
+    l36_direction_claims,
+    l37_lpla_zero_set,
+    l38_lpla_gradient,
+    l39_lpla_variants,
 }
 
 /// All claims, by number.
