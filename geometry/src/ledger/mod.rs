@@ -20,6 +20,7 @@ mod claims;
 mod findings;
 mod flow_gradients;
 pub mod forward;
+mod responses;
 mod sampling;
 pub mod taped;
 #[cfg(test)]

@@ -18,6 +18,14 @@ index! {
     l37_lpla_zero_set,
     l38_lpla_gradient,
     l39_lpla_variants,
+    l40_lpla_noise,
+    l41_laxi_sign,
+    l42_laxi_snippet,
+    l43_laxi_repeller,
+    l44_laxi_variants,
+    l45_laxi_noise,
+    l47_sensitivity,
+    l48_axi_confusion,
 }
 
 /// All claims, by number.
