@@ -39,8 +39,8 @@ fn check(trial: &mut Trial) {
     for k in 0..2 {
         f.residual("loss with a rotation and the translation it looks like before a wall, relative to either", cancelled(&wall, k, 1e-6), 1e-3);
     }
-    f.gap("the same in the room, relative to either", cancelled(&handheld, 1, 1e-6), 0.1);
-    f.gap("the same before the wall for 0.05 rad: not first order, relative to either", cancelled(&wall, 1, 0.05), 0.01);
+    f.gap("the same in the room, relative to either", cancelled(&handheld, 1, 1e-6), 0.21);
+    f.gap("the same before the wall for 0.05 rad: not first order, relative to either", cancelled(&wall, 1, 0.05), 0.19);
     f.gap("1 - correlation of roll and t'_x before a wall", 1.0 - correlated(&wall, 2, 3).abs(), 0.9);
     trial.count(handheld.scene.pixels.len());
 }

@@ -24,8 +24,11 @@ index! {
     l43_laxi_repeller,
     l44_laxi_variants,
     l45_laxi_noise,
+    l46_independence,
     l47_sensitivity,
     l48_axi_confusion,
+    l49_observability,
+    l50_principal_point,
 }
 
 /// All claims, by number.
