@@ -21,11 +21,16 @@
 //! | [`motion_statistics`] | sizes of recorded motions, and what the printed alignment costs on them |
 //! | [`ratios`] | depth-to-translation ratios |
 //! | [`loss_forms`] | the four geometric losses over lists of pixels |
+//! | [`aligned_scene`] | a whole scene after the alignments |
+//! | [`noise`] | what pixel noise costs the direction losses |
+//! | [`sensitivity`] | first-order responses of flow directions to errors |
+//! | [`observability`] | which motions the direction losses can see |
 //! | [`taped`] | the same geometry as differentiable operations |
 //! | [`losses`] | the four losses on the tape |
 //! | [`scenes`] | reference scenes and motions |
 //! | [`ledger`] | every claim of the paper with its verdict and check |
 
+pub mod aligned_scene;
 pub mod alignment;
 pub mod backprojection;
 pub mod camera;
@@ -39,10 +44,13 @@ pub mod losses;
 pub mod motion;
 pub mod photometric;
 pub mod motion_statistics;
+pub mod noise;
+pub mod observability;
 pub mod ratios;
 pub mod removal;
 pub mod scenes;
 pub mod se3;
+pub mod sensitivity;
 pub mod so3;
 mod svd3;
 pub mod taped;

@@ -18,7 +18,9 @@
 mod claim;
 mod claims;
 mod findings;
+mod flow_gradients;
 pub mod forward;
+mod responses;
 mod sampling;
 pub mod taped;
 #[cfg(test)]

@@ -158,6 +158,15 @@ impl Case {
         direction(self.extra[index], self.extra[index + 1])
     }
 
+    /// A further flow, 0.01 to 100 px long (uniform in the logarithm) and in any direction, from the numbers `index` and
+    /// `index + 1`.
+    #[must_use]
+    pub fn extra_flow(&self, index: usize) -> Vector2<f64> {
+        let length = self.extra(index, 0.01f64.ln(), 100f64.ln()).exp();
+        let (sin, cos) = self.extra(index + 1, 0.0, std::f64::consts::TAU).sin_cos();
+        Vector2::new(cos, sin) * length
+    }
+
     /// Number of [`Case::limit`]s.
     pub const LIMITS: usize = 9;
 

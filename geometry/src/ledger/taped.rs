@@ -90,6 +90,46 @@ pub fn pixel_camera(camera: &Intrinsics, p: &Vector2<f64>) -> Intrinsics {
     Intrinsics { u0: camera.u0 - p.x, v0: camera.v0 - p.y, width: 1, height: 1, ..*camera }
 }
 
+/// Options of losses without thresholds, noise allowance and cut gradients: the equations alone.
+#[must_use]
+pub fn bare() -> LossOptions {
+    LossOptions {
+        tau_flow: 0.0,
+        tau_ratio: 0.0,
+        q_min: 0.0,
+        min_tangential_flow: 0.0,
+        min_tangential_share: 0.0,
+        noise_pixels: 0.0,
+        noise_share: 0.0,
+        min_valid_share: 0.0,
+        detach_source_depth: false,
+        ..LossOptions::default()
+    }
+}
+
+/// A pair without rotation at depth 1. Its planar flow is `flow`, (N,2,H,W), where `a_z = 0`, its axial flow where
+/// `a_x = a_y = 0`: losses become functions of the flows alone. The cameras take the size of the maps.
+#[must_use]
+pub fn still_pair<'t>(flow: Var<'t, f64>, a: [f64; 3], cameras: &[Intrinsics], options: &LossOptions) -> AlignedPair<'t, f64> {
+    let shape = flow.shape();
+    let map = Shape::new(shape.n(), 1, shape.h(), shape.w());
+    let cameras: Vec<_> = cameras.iter().map(|k| Intrinsics { width: shape.w(), height: shape.h(), ..*k }).collect();
+    let tape = flow.tape();
+    let (ones, mask) = (tape.constant(Tensor::full(map, 1.0)), Tensor::full(map, 1.0));
+    let identity = Tensor::from_fn(Shape::new(shape.n(), 1, 3, 3), |_, _, i, j| if i == j { 1.0 } else { 0.0 });
+    let translation = Tensor::from_fn(Shape::new(shape.n(), 3, 1, 1), |_, k, _, _| a[k]);
+    let inputs = PairInputs {
+        target_depth: ones,
+        source_depth: ones,
+        flow,
+        rotation: tape.constant(identity),
+        translation: tape.constant(translation),
+        intrinsics: &cameras,
+        mask: &mask,
+    };
+    AlignedPair::from_sampled(&inputs, options)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -99,5 +139,14 @@ mod tests {
         let (values, rows) = jacobian(&[column(&[2.0, 3.0]), column(&[5.0, 7.0])], |v| v[0].mul(v[1]));
         assert_eq!(values, [10.0, 21.0]);
         assert_eq!(rows, [[5.0, 0.0, 2.0, 0.0], [0.0, 7.0, 0.0, 3.0]]);
+    }
+    #[test]
+    fn the_still_pair_hands_the_flow_on() {
+        let camera = Intrinsics { fu: 300.0, fv: 200.0, u0: 1.0, v0: 2.0, width: 2, height: 1 };
+        let tape = Tape::new();
+        let flow = tape.leaf(Tensor::from_vec(Shape::new(1, 2, 1, 2), vec![3.0, -0.5, 0.25, 40.0]));
+        let near = |x: &Tensor<f64>| x.data().iter().zip(flow.value().data()).all(|(a, b)| (a - b).abs() < 1e-13);
+        assert!(near(&still_pair(flow, [0.4, 0.2, 0.0], &[camera], &bare()).planar_flow.value()));
+        assert!(near(&still_pair(flow, [0.0, 0.0, -0.7], &[camera], &bare()).axial_flow.value()));
     }
 }

@@ -1,5 +1,7 @@
 //! Radial direction of axial flows (eq. `la`).
 
+pub mod gradients;
+
 use nalgebra::Vector2;
 
 use super::mean;
@@ -27,6 +29,28 @@ pub fn folded(flows: &[Vector2<f64>], d: &[Vector2<f64>]) -> f64 {
 #[must_use]
 pub fn pose_sign(flows: &[Vector2<f64>], d: &[Vector2<f64>], a_z: f64) -> f64 {
     angles(flows, d, |dot| dot * -a_z.signum())
+}
+
+/// `sign(E[f . d])`: which way most of the flow points, read from the flows instead of the pose (L44).
+///
+/// Equals `-sign(a_z)` at the truth.
+#[must_use]
+pub fn sign_of_flows(flows: &[Vector2<f64>], d: &[Vector2<f64>]) -> f64 {
+    mean(flows.iter().zip(d).map(|(f, d)| f.dot(d))).signum()
+}
+
+/// Mean angle to the direction that most of the flow takes ([`sign_of_flows`]).
+#[must_use]
+pub fn flow_sign(flows: &[Vector2<f64>], d: &[Vector2<f64>]) -> f64 {
+    let sign = sign_of_flows(flows, d);
+    angles(flows, d, |dot| dot * sign)
+}
+
+/// Mean squared sine of the angle between flow and radius, `E[(f x d)^2 / (f.f d.d)]`, in `[0, 1]`: smooth at the solution,
+/// blind to the sign (L44).
+#[must_use]
+pub fn smooth(flows: &[Vector2<f64>], d: &[Vector2<f64>]) -> f64 {
+    mean(flows.iter().zip(d).map(|(f, d)| f.perp(d).powi(2) / (f.norm_squared() * d.norm_squared())))
 }
 
 /// Mean distance of the flows from the radial lines, pixels: `E[|f x d| / |d|]`.

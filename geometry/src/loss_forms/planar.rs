@@ -1,5 +1,7 @@
 //! Parallelism of planar flows (eq. `lp`).
 
+pub mod gradients;
+
 use nalgebra::Vector2;
 
 use super::mean;
@@ -11,6 +13,24 @@ use super::mean;
 #[must_use]
 pub fn printed(flows: &[Vector2<f64>]) -> f64 {
     let angle = |f: &Vector2<f64>| f.y.abs().atan2(f.x);
+    let centre = mean(flows.iter().map(angle));
+    mean(flows.iter().map(|f| (angle(f) - centre).powi(2)))
+}
+
+/// Population variance of the signed angle `atan2(f_v, f_u)`, rad^2: no folding, but a jump of `2 pi` for leftward flows (L39).
+#[must_use]
+pub fn unfolded(flows: &[Vector2<f64>]) -> f64 {
+    let angle = |f: &Vector2<f64>| f.y.atan2(f.x);
+    let centre = mean(flows.iter().map(angle));
+    mean(flows.iter().map(|f| (angle(f) - centre).powi(2)))
+}
+
+/// Population variance of the angles measured from the mean direction, each in `(-pi, pi]`, rad^2: neither folds nor jumps
+/// while the flows stay within half a turn of their mean (L39).
+#[must_use]
+pub fn wrapped(flows: &[Vector2<f64>]) -> f64 {
+    let direction: Vector2<f64> = flows.iter().map(|f| f / f.norm()).sum();
+    let angle = |f: &Vector2<f64>| direction.perp(f).atan2(direction.dot(f));
     let centre = mean(flows.iter().map(angle));
     mean(flows.iter().map(|f| (angle(f) - centre).powi(2)))
 }

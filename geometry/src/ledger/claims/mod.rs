@@ -47,6 +47,21 @@ index! {
     l33_align_kitti,
     l34_residual_target_frame,
     l35_align_jacobian,
+    l36_direction_claims,
+    l37_lpla_zero_set,
+    l38_lpla_gradient,
+    l39_lpla_variants,
+    l40_lpla_noise,
+    l41_laxi_sign,
+    l42_laxi_snippet,
+    l43_laxi_repeller,
+    l44_laxi_variants,
+    l45_laxi_noise,
+    l46_independence,
+    l47_sensitivity,
+    l48_axi_confusion,
+    l49_observability,
+    l50_principal_point,
 }
 
 /// All claims, by number.

@@ -3,6 +3,8 @@
 //! Written from the equations alone, without nalgebra, homographies or the tape, so that a mistake in the closed forms or in a
 //! backward rule finds no accomplice here.
 
+pub mod direction;
+
 use dimode_autodiff::proof::{Dual, Number};
 
 use crate::camera::Intrinsics;
