@@ -14,6 +14,10 @@
 //! | [`motion`] | split of a motion into rotation, tangential and radial translation |
 //! | [`alignment`] | alignment with imaging plane and optical axis |
 //! | [`ratios`] | depth-to-translation ratios |
+//! | [`ratio_noise`], [`ratio_bias`] | what flow noise does to the ratios and to what they recover |
+//! | [`recovery`] | the translation that a whole scene implies, and what a rotation error does to it |
+//! | [`quadrature`] | integrals by fixed nodes |
+//! | [`reported`] | numbers the paper reports, with the arithmetic behind them |
 //! | [`loss_forms`] | the four geometric losses over lists of pixels |
 //! | [`taped`] | the same geometry as differentiable operations |
 //! | [`losses`] | the four losses on the tape |
@@ -29,7 +33,12 @@ pub mod ledger;
 pub mod loss_forms;
 pub mod losses;
 pub mod motion;
+pub mod quadrature;
+pub mod ratio_bias;
+pub mod ratio_noise;
 pub mod ratios;
+pub mod recovery;
+pub mod reported;
 pub mod scenes;
 pub mod se3;
 pub mod so3;

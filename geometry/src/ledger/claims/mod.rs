@@ -14,6 +14,10 @@ index! {
     l09_rot_flow_inline,
     l15_rad_flow,
     l20_grad_tz,
+    l51_rho_xy,
+    l52_rho_z,
+    l53_recovery,
+    l54_cycle,
 }
 
 /// All claims, by number.

@@ -3,6 +3,9 @@
 //! Written from the equations alone, without nalgebra, homographies or the tape, so that a mistake in the closed forms or in a
 //! backward rule finds no accomplice here.
 
+pub mod pipeline;
+pub mod ratio;
+
 use dimode_autodiff::proof::{Dual, Number};
 
 use crate::camera::Intrinsics;
