@@ -197,8 +197,10 @@ impl Perturbed {
         Self { target_depths, ..self }
     }
 
-    /// An estimated motion, and relative errors of the depths in waves of these heights: target depths `1 + a sin(0.05 u + 0.03 v)`
-    /// times the truth, source depths `1 + b cos(0.03 u - 0.04 v)`, both at the target pixel `(u, v)`.
+    /// An estimated motion, and relative errors of the depths in waves of these heights.
+    ///
+    /// Target depths are `1 + a sin(0.05 u + 0.03 v)` times the truth, source depths `1 + b cos(0.03 u - 0.04 v)` times, both at
+    /// the target pixel `(u, v)`.
     #[must_use]
     pub fn new(reference: &Reference, omega: Vector3<f64>, in_target: Vector3<f64>, [a, b]: [f64; 2]) -> Self {
         let mut out = Self::exact(reference).with_target_depths(|p| 1.0 + a * target_wave(p));

@@ -50,6 +50,33 @@ impl PlainLosses {
     }
 }
 
+/// How far the pixels of a perturbed scene stay away from the kinks and poles of the losses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clearance {
+    /// Smallest planar flow component or radial component of an axial flow, pixels: what the ratios divide by.
+    pub divisor: f64,
+    /// Smallest sine of the angle between an axial flow and its radius: at 0 `L_axi` has its kink, and `arccos` no derivative.
+    pub radial: f64,
+    /// Smallest sine of the angle between a planar flow and the horizontal, where the `arccos` of `L_pla` has none.
+    pub horizontal: f64,
+}
+
+impl Clearance {
+    /// The smallest over all pixels.
+    #[must_use]
+    pub fn new(estimate: &Perturbed) -> Self {
+        let mut least = Self { divisor: f64::INFINITY, radial: f64::INFINITY, horizontal: f64::INFINITY };
+        let flows = estimate.planar_flows().into_iter().zip(estimate.axial_flows());
+        for ((planar, axial), d) in flows.zip(estimate.scene.offsets()) {
+            let along = axial.dot(&d).abs() / d.norm();
+            least.divisor = least.divisor.min(planar.x.abs()).min(planar.y.abs()).min(along);
+            least.radial = least.radial.min(axial.perp(&d).abs() / (axial.norm() * d.norm()));
+            least.horizontal = least.horizontal.min(planar.y.abs() / planar.norm());
+        }
+        least
+    }
+}
+
 /// A loss on the tape.
 pub type Form = for<'t> fn(&AlignedPair<'t, f64>, &LossOptions) -> LossTerm<'t, f64>;
 

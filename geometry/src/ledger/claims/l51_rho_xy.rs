@@ -13,13 +13,13 @@ pub(super) static CLAIM: Claim = Claim {
     id: "L51",
     slug: "rho-xy",
     place: "eq. constraint3",
-    statement: "The planar flow gives the ratios of depth to tangential translation: z / t_x = f_x / f_pla,x, z / t_y = f_y / f_pla,y \
-                (f_x, f_y stand for the focal lengths f_u, f_v here).",
+    statement: "The planar flow gives the ratios of depth to tangential translation: z / t_x = f_x / f_pla,x, z / t_y = f_y / \
+                f_pla,y (f_x, f_y stand for the focal lengths f_u, f_v here).",
     verdict: Verdict::Exact,
     condition: Some("planar flow exact (translation in the target frame), t'_x != 0, t'_y != 0"),
     formula: "rho_x = f_u / f_pla,x = z / t'_x,  rho_y = f_v / f_pla,y = z / t'_y",
-    derivation: "After the planar alignment f_pla = (f_u t'_x, f_v t'_y) / z; divide the focal length by each component. \
-                 The inverse ratios f_pla,x / f_u = t'_x / z are linear in the flow and hold at t'_x = 0 too.",
+    derivation: "After the planar alignment f_pla = (f_u t'_x, f_v t'_y) / z; divide the focal length by each component. The \
+                 inverse ratios f_pla,x / f_u = t'_x / z are linear in the flow and hold at t'_x = 0 too.",
     counter_example: None,
     correction: None,
     functions: &["ratios::tangential_ratios", "ratios::inverse_tangential_ratios"],

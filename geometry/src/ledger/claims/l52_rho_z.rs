@@ -17,10 +17,10 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Exact,
     condition: Some("axial flow exact, d.f != 0 (t_z != 0 and p != p0)"),
     formula: "rho_z = -(d.(f + d)) / (d.f) = -(r + f_r) / f_r,  f_r = d.f / r;  1/rho_z = -f_r / (r + f_r)",
-    derivation: "f = -t_z / (z + t_z) d gives d.f = -t_z r^2 / (z + t_z) and d.(f + d) = z r^2 / (z + t_z); their negative quotient is \
-                 z / t_z. Only d.f enters, so flow orthogonal to d changes nothing. The ratio is singular where d.f = 0, its inverse \
-                 only where the flow ends on p0. For a focus e off p0, f ~ p - e, the singular set is the circle with diameter p0-e \
-                 (Thales), and inside it the ratio has the wrong sign.",
+    derivation: "f = -t_z / (z + t_z) d gives d.f = -t_z r^2 / (z + t_z) and d.(f + d) = z r^2 / (z + t_z); their negative \
+                 quotient is z / t_z. Only d.f enters, so flow orthogonal to d changes nothing. The ratio is singular where d.f \
+                 = 0, its inverse only where the flow ends on p0. For a focus e off p0, f ~ p - e, the singular set is the \
+                 circle with diameter p0-e (Thales), and inside it the ratio has the wrong sign.",
     counter_example: None,
     correction: None,
     functions: &["ratios::radial_ratio", "ratios::inverse_radial_ratio", "ratios::radial_ratio_of_component"],
@@ -57,9 +57,11 @@ fn at(case: &Case, f: &mut Findings) {
     if r > 5.0 && a.z.abs() > 0.01 * z {
         let ratio = radial_ratio(&flow, &d);
         f.residual("rho_z t'_z / z - 1 of eq. radial_flow", ratio * a.z / z - 1.0, 1e-12);
-        f.residual("rho_z from the radial component, relative", radial_ratio_of_component(flow.dot(&d) / r, r) / ratio - 1.0, 1e-12);
+        let from_component = radial_ratio_of_component(flow.dot(&d) / r, r);
+        f.equal("rho_z from the radial component, relative", from_component, ratio, ratio, 1e-12);
         let orthogonal = Vector2::new(-d.y, d.x) * (case.extra(0, -5.0, 5.0) * flow.norm() / r);
-        f.residual("rho_z with flow orthogonal to d added, relative", radial_ratio(&(flow + orthogonal), &d) / ratio - 1.0, 1e-11);
+        let turned = radial_ratio(&(flow + orthogonal), &d);
+        f.equal("rho_z with flow orthogonal to d added, relative", turned, ratio, ratio, 1e-11);
         off_centre(case, a.z / z, f);
     }
 }

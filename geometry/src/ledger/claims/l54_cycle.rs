@@ -12,8 +12,8 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Exact,
     condition: Some("flows exact and t_hat = t'"),
     formula: "|(E[z_hat / rho_k] - t'_k) / t'_k| = |E[z_hat / z] - 1|,  the same for k = x, y, z",
-    derivation: "E[z_hat / rho_k] = t'_k E[z_hat / z] (L53); divide by t'_k. The term sees the mean of the SIGNED relative depth error: \
-                 errors of opposite sign cancel, which the pixel terms E[|z_hat - z| / z_hat] do not allow.",
+    derivation: "E[z_hat / rho_k] = t'_k E[z_hat / z] (L53); divide by t'_k. The term sees the mean of the SIGNED relative \
+                 depth error: errors of opposite sign cancel, which the pixel terms E[|z_hat - z| / z_hat] do not allow.",
     counter_example: None,
     correction: None,
     functions: &[
@@ -54,17 +54,16 @@ fn at(reference: &Reference, x: &[f64; 3], f: &mut Findings) {
     let count = quotients.len() as f64;
     let mean = quotients.iter().sum::<f64>() / count;
     let absolute = quotients.iter().map(|q| (1.0 / q - 1.0).abs()).sum::<f64>() / count;
-    // A component of t' of some centimetres is some pixels of flow; rounding of pixel coordinates is 1e-13 px.
     for [pixel, aggregate] in terms(&wavy) {
-        f.residual("aggregate term - |E[z_hat / z] - 1|", aggregate - (mean - 1.0).abs(), 1e-10);
-        f.residual("pixel term - E[|z - z_hat| / z_hat]", pixel - absolute, 1e-9);
+        f.residual("aggregate term - |E[z_hat / z] - 1|", aggregate - (mean - 1.0).abs(), 1e-12);
+        f.residual("pixel term - E[|z - z_hat| / z_hat]", pixel - absolute, 1e-11);
     }
     for [_, aggregate] in terms(&exact.scaled(constant, 1.0, 1.0)) {
-        f.residual("depths times c: aggregate term - |c - 1|", aggregate - (constant - 1.0).abs(), 1e-10);
+        f.residual("depths times c: aggregate term - |c - 1|", aggregate - (constant - 1.0).abs(), 1e-12);
     }
     let cancelled = exact.with_target_depths(|p| (shift + height * scenes::target_wave(p)) / mean);
     for [pixel, aggregate] in terms(&cancelled) {
-        f.residual("errors that cancel: aggregate term", aggregate, 1e-10);
+        f.residual("errors that cancel: aggregate term", aggregate, 1e-12);
         f.gap("errors that cancel: pixel term", pixel, 0.02);
     }
 }

@@ -21,15 +21,15 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Fails,
     condition: None,
     formula: "second term = |m| / |t_x|,  m = E[z n / f_u],  n the error of the flow",
-    derivation: "E[z / rho_x] = E[z (f_u t_x / z + n) / f_u] = t_x + m. The error m of the flow does not shrink with t_x, so that m / t_x \
-                 has no bound; at t_x = 0 the first term is 0 times infinity and the second divides by 0.",
+    derivation: "E[z / rho_x] = E[z (f_u t_x / z + n) / f_u] = t_x + m. The error m of the flow does not shrink with t_x, so \
+                 that m / t_x has no bound; at t_x = 0 the first term is 0 times infinity and the second divides by 0.",
     counter_example: Some(
-        "Road scene, flow error 0.3 sin(12.9898 u + 78.233 v) px: at t_x = 0.5, 0.02, 0.001 m the pixel term is 0.0189, 2.39, 1.15 and \
-         the aggregate term 0.000115, 0.00287, 0.0573; at t_x = 0 neither is a number.",
+        "Road scene, flow error 0.3 sin(12.9898 u + 78.233 v) px: at t_x = 0.5, 0.02, 0.001 m the pixel term is 0.0189, 2.39, \
+         1.15 and the aggregate term 0.000115, 0.00287, 0.0573; at t_x = 0 neither is a number.",
     ),
     correction: Some(
-        "One ratio for both axes, along the predicted flow: 1/z_geo = (F . f_pla) / |F|^2, F = f o t'_tan, linear in the flow; or the \
-         residual |F / z - f_pla| in pixels, whose slopes stay below f_u / z, f_v / z.",
+        "One ratio for both axes, along the predicted flow: 1/z_geo = (F . f_pla) / |F|^2, F = f o t'_tan, linear in the flow; \
+         or the residual |F / z - f_pla| in pixels, whose slopes stay below f_u / z, f_v / z.",
     ),
     functions: &[
         "loss_forms::ratio_terms::aggregate_term_of_noise",
@@ -53,8 +53,8 @@ fn check(trial: &mut Trial) {
     let f = &mut trial.findings;
     for (t_x, pixel, aggregate) in table {
         let [found, sum] = printed_terms(t_x, f);
-        f.documented("pixel term on the road, documented to six digits", found, pixel, 3e-6);
-        f.documented("aggregate term on the road, documented to six digits", sum, aggregate, 3e-6);
+        f.documented("pixel term on the road, documented to six digits", found, pixel, 5e-6);
+        f.documented("aggregate term on the road, documented to six digits", sum, aggregate, 5e-6);
         f.gap("pixel term of a flow error of 0.3 px", found, 2.2);
         f.gap("aggregate term over that at t_x = 0.5 m", sum / table[0].2, 450.0);
     }
@@ -125,7 +125,8 @@ fn at(case: &Case, f: &mut Findings) {
     let moved = inverse_depth_along_flow(camera, &(flow + error), &t) - inverse_depth_along_flow(camera, &flow, &t);
     let reach = error.norm() / predicted.norm();
     let size = reach + 1.0 / z;
-    f.residual("1/z_geo is linear in the flow: change - F . n / |F|^2", (moved - predicted.dot(&error) / predicted.norm_squared()) / size, 1e-12);
+    let linear = predicted.dot(&error) / predicted.norm_squared();
+    f.equal("1/z_geo is linear in the flow: change - F . n / |F|^2", moved, linear, size, 1e-12);
     f.residual("change of 1/z_geo beyond |n| / |F|, relative", (moved.abs() / reach - 1.0 - 1e-9 * size / reach).max(0.0), 1e-12);
     slope_along_flow(case, &t, flow + error, f);
     slopes_in_pixels(case, &t, flow + error, f);

@@ -18,6 +18,16 @@ index! {
     l52_rho_z,
     l53_recovery,
     l54_cycle,
+    l55_tx_to_zero,
+    l56_scale_invariance,
+    l57_ratio_bias,
+    l58_recovery_bias,
+    l59_pixel_term_gradient,
+    l60_rho_z_noise,
+    l61_rotation_leak,
+    l62_loss_gradients,
+    l63_percentages,
+    l64_counts,
 }
 
 /// All claims, by number.
