@@ -295,6 +295,41 @@ mod tests {
     }
 
     #[test]
+    fn estimates_without_error_align_exactly_and_errors_lie_where_they_say() {
+        let reference = handheld();
+        let exact = Perturbed::exact(&reference);
+        let t = exact.in_target;
+        for (i, (plane, axis)) in exact.planar_flows().iter().zip(exact.axial_flows()).enumerate() {
+            let (d, z) = (exact.scene.offsets()[i], exact.scene.depths[i]);
+            assert!((plane - crate::flow::tangential::tangential_flow(&exact.scene.camera, &t, z)).norm() < 1e-10);
+            assert!((axis + d * (t.z / (z + t.z))).norm() < 1e-10);
+        }
+        let off = perturbed_handheld();
+        let p = off.scene.pixels[100];
+        assert!((off.target_depths[100] / exact.target_depths[100] - 1.0 - 0.05 * target_wave(&p)).abs() < 1e-15);
+        let source = off.matches[100].source_depth / exact.matches[100].source_depth;
+        assert!((source - 1.0 - 0.04 * (0.03 * p.x - 0.04 * p.y).cos()).abs() < 1e-15);
+        assert_eq!(off.matches[100].source, exact.matches[100].source);
+    }
+
+    #[test]
+    fn drawn_errors_keep_their_bounds_and_vanish_at_zero() {
+        let reference = turn();
+        let exact = Perturbed::exact(&reference);
+        assert_eq!(Perturbed::drawn(&reference, &[0.0; 8]), exact);
+        let far = Perturbed::drawn(&reference, &[1.0; 8]);
+        assert!(((far.omega - exact.omega) / 0.003 - Vector3::repeat(1.0)).norm() < 1e-9);
+        assert!((far.in_target - exact.in_target * 1.1).norm() < 1e-15);
+        let error = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
+        let target = error(&far.target_depths, &exact.target_depths);
+        assert!(target > 0.049 && target < 0.05 + 1e-15, "{target}");
+        let scaled = far.scaled(2.0, 3.0, 5.0);
+        assert_eq!(scaled.target_depths[7], 2.0 * far.target_depths[7]);
+        assert_eq!(scaled.matches[7].source_depth, 3.0 * far.matches[7].source_depth);
+        assert_eq!(scaled.in_target, far.in_target * 5.0);
+    }
+
+    #[test]
     fn the_grid_camera_sees_the_same_rays() {
         for scene in [road(), room()] {
             let small = scene.grid_camera();

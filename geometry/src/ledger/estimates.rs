@@ -193,3 +193,40 @@ pub fn taped(
 pub fn taped_loss(estimate: &Perturbed, options: &LossOptions, form: Form) -> TapedLoss {
     taped(estimate, options, |pair, options| form(pair, options).mean)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::losses;
+    use crate::scenes;
+
+    #[test]
+    fn pixel_losses_of_the_grid_are_those_of_the_scene_in_grid_pixels() {
+        let estimate = scenes::perturbed_generic();
+        let options = LossOptions { noise_pixels: 0.0, noise_share: 0.0, ..LossOptions::default() };
+        let found = taped_loss(&estimate, &on_the_grid(&options), losses::tangential).value * STEP as f64;
+        let (flows, depths) = (estimate.planar_flows(), &estimate.target_depths);
+        let plain = loss_forms::tangential::flow_pixels(&estimate.scene.camera, &flows, depths, &estimate.in_target);
+        assert!((found - plain).abs() < 1e-12 * plain, "{found} {plain}");
+    }
+
+    #[test]
+    fn columns_of_changes_are_in_order() {
+        let loss = TapedLoss {
+            value: 0.0,
+            eps: Vector3::new(1.0, 2.0, 3.0),
+            in_target: Vector3::new(4.0, 5.0, 6.0),
+            log_target: vec![3.0, 4.0],
+            log_source: vec![5.0, 6.0],
+        };
+        assert_eq!(loss.changes(1), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 4.0, 11.0, 6.0]);
+    }
+
+    #[test]
+    fn clearance_is_zero_where_a_flow_is_horizontal_or_on_its_radius() {
+        let exact = Clearance::new(&Perturbed::exact(&scenes::generic()));
+        assert!(exact.radial < 1e-12 && exact.horizontal > 0.1 && exact.divisor > 0.01, "{exact:?}");
+        let off = Clearance::new(&scenes::perturbed_generic());
+        assert!(off.radial > 1e-9, "{off:?}");
+    }
+}

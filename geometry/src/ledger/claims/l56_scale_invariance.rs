@@ -1,6 +1,10 @@
 //! L56: a common scale of depths and translation is unobservable.
 
+use nalgebra::Vector2;
+
+use crate::Se3;
 use crate::alignment::Convention;
+use crate::flow::rigid::rigid_flow;
 use crate::ledger::estimates::{self, Clearance, Form, PlainLosses, TapedLoss};
 use crate::ledger::{Claim, Findings, Trial, Verdict};
 use crate::losses::{self, LossOptions};
@@ -16,8 +20,8 @@ pub(super) static CLAIM: Claim = Claim {
     formula: "L(c z_t, c z_s, c t') = L(z_t, z_s, t');  sum z_t dL/dz_t + sum z_s dL/dz_s + t'.dL/dt' = 0",
     derivation: "Aligned flows are quotients of points whose coordinates all scale; the ratios have no unit, and the terms of \
                  L_tan, L_rad are relative. The derivative by c at c = 1 is Euler's identity. L_pla removes only t'_z and reads \
-                 no target depth, so it depends on (z_s : t'_z) alone, L_axi likewise on (z_s : t'_x : t'_y). A monocular \
-                 network cannot know the scale.",
+                 no target depth, so it depends on (z_s : t'_z) alone, L_axi likewise on (z_s : t'_x : t'_y). The photometric \
+                 loss warps by the rigid flow, which is a quotient too: a monocular network cannot know the scale.",
     counter_example: None,
     correction: None,
     functions: &[
@@ -74,6 +78,7 @@ fn at(estimate: &Perturbed, factor: f64, f: &mut Findings) {
         }
     }
     partial_scales(estimate, factor, &plain, f);
+    rigid_flows(estimate, factor, f);
     let literal = LossOptions { convention: Convention::Consistent, ..LossOptions::literal() };
     let pixels = LossOptions { min_tangential_share: 0.0, detach_source_depth: false, ..LossOptions::default() };
     for (name, options) in [("printed", literal), ("pixel", estimates::on_the_grid(&pixels))] {
@@ -85,6 +90,17 @@ fn at(estimate: &Perturbed, factor: f64, f: &mut Findings) {
                 euler(name, k, estimate, factor, &options, form, f);
             }
         }
+    }
+}
+
+/// The flow that the photometric loss warps by.
+fn rigid_flows(estimate: &Perturbed, factor: f64, f: &mut Findings) {
+    let rotation = estimate.rotation();
+    let motion = |c: f64| Se3 { rotation, translation: rotation * estimate.in_target * c };
+    let flow = |p: &Vector2<f64>, z: f64, c: f64| rigid_flow(&estimate.scene.camera, &motion(c), p, z * c).map(|(flow, _)| flow);
+    for (p, &z) in estimate.scene.pixels.iter().zip(&estimate.target_depths).step_by(20) {
+        let moved = flow(p, z, factor).zip(flow(p, z, 1.0)).map_or(f64::NAN, |(a, b)| (a - b).norm());
+        f.residual("rigid flow times a common factor: change, px", moved, 1e-10);
     }
 }
 
