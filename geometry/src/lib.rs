@@ -20,6 +20,10 @@
 //! | [`alignment`] | alignment with imaging plane and optical axis |
 //! | [`motion_statistics`] | sizes of recorded motions, and what the printed alignment costs on them |
 //! | [`ratios`] | depth-to-translation ratios |
+//! | [`ratio_noise`], [`ratio_bias`] | what flow noise does to the ratios and to what they recover |
+//! | [`recovery`] | the translation that a whole scene implies, and what a rotation error does to it |
+//! | [`quadrature`] | integrals by fixed nodes |
+//! | [`reported`] | numbers the paper reports, with the arithmetic behind them |
 //! | [`loss_forms`] | the four geometric losses over lists of pixels |
 //! | [`aligned_scene`] | a whole scene after the alignments |
 //! | [`noise`] | what pixel noise costs the direction losses |
@@ -42,12 +46,17 @@ pub mod ledger;
 pub mod loss_forms;
 pub mod losses;
 pub mod motion;
-pub mod photometric;
 pub mod motion_statistics;
 pub mod noise;
 pub mod observability;
+pub mod photometric;
+pub mod quadrature;
+pub mod ratio_bias;
+pub mod ratio_noise;
 pub mod ratios;
+pub mod recovery;
 pub mod removal;
+pub mod reported;
 pub mod scenes;
 pub mod se3;
 pub mod sensitivity;

@@ -6,6 +6,7 @@
 use nalgebra::{Vector2, Vector3};
 
 use crate::camera::Intrinsics;
+use crate::flow::tangential::focal_scaled;
 
 /// `rho_x = f_u / f_x`, `rho_y = f_v / f_y` from a planar flow: `z / a_x`, `z / a_y`.
 ///
@@ -47,6 +48,42 @@ pub fn recovered_translation(
 ) -> Vector3<f64> {
     let tangential = inverse_tangential_ratios(camera, planar_flow) * z;
     Vector3::new(tangential.x, tangential.y, z * inverse_radial_ratio(axial_flow, d))
+}
+
+/// `1 / z` from a planar flow and the tangential translation, along the predicted direction, 1 / m (L55).
+///
+/// **Formula**: `(F . f_pla) / |F|^2` with `F = f o a_tan`. Both axes share it, so that neither component alone divides; it is
+/// linear in the flow, and noise of `sigma` pixels along `F` moves it by `sigma / |F|` wherever the pixel is.
+/// **Domain**: `F != 0`.
+#[must_use]
+pub fn inverse_depth_along_flow(camera: &Intrinsics, planar_flow: &Vector2<f64>, a: &Vector3<f64>) -> f64 {
+    let predicted = focal_scaled(camera, a);
+    predicted.dot(planar_flow) / predicted.norm_squared()
+}
+
+/// Derivative of [`inverse_depth_along_flow`] with respect to the planar flow: `F / |F|^2`, 1 / (m px).
+#[must_use]
+pub fn inverse_depth_along_flow_slope(camera: &Intrinsics, a: &Vector3<f64>) -> Vector2<f64> {
+    let predicted = focal_scaled(camera, a);
+    predicted / predicted.norm_squared()
+}
+
+/// `rho_z = -(r + f_r) / f_r` from the radial flow component `f_r = d . f / r` at the radius `r`, both pixels (L52).
+#[must_use]
+pub fn radial_ratio_of_component(f_r: f64, r: f64) -> f64 {
+    -(r + f_r) / f_r
+}
+
+/// `1 / rho_z = -f_r / (r + f_r)`, from the same.
+#[must_use]
+pub fn inverse_radial_ratio_of_component(f_r: f64, r: f64) -> f64 {
+    -f_r / (r + f_r)
+}
+
+/// Radial component of the exact axial flow at radius `r`: `f_r = -t_z r / (z + t_z)`, pixels.
+#[must_use]
+pub fn radial_flow_component(z: f64, t_z: f64, r: f64) -> f64 {
+    -t_z * r / (z + t_z)
 }
 
 /// Standard deviation of `rho_z` under pixel noise `sigma`, at radius `r` from the principal point.

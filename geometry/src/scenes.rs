@@ -3,17 +3,16 @@
 //! The road is seen by a KITTI-like camera of 640x192, the room by a hand-held camera of 512x288; both on a grid of every
 //! sixteenth pixel, with smooth depth. The numbers of `tests/golden/derivations` were computed on them with 40 digits.
 
-mod aligned;
 pub mod families;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
-use crate::alignment::Match;
+use crate::aligned_scene::AlignedScene;
+use crate::alignment::{self, Convention, Match};
 use crate::camera::Intrinsics;
 use crate::flow::rigid::rigid_flow;
 use crate::se3::Se3;
-
-pub use aligned::AlignedScene;
+use crate::so3;
 
 /// Distance between neighbouring pixels of the grids.
 pub const STEP: usize = 16;
@@ -64,6 +63,17 @@ impl Scene {
             Match { target: *p, source: p + flow, source_depth }
         };
         self.pixels.iter().zip(&self.depths).map(exact).collect()
+    }
+
+    /// The scene's exact matches under a motion, aligned with that motion.
+    ///
+    /// **Panics** when a point comes behind a camera.
+    #[must_use]
+    #[track_caller]
+    pub fn aligned(&self, source_from_target: &Se3, convention: Convention) -> AlignedScene {
+        let translation = convention.translation(source_from_target);
+        AlignedScene::new(&self.camera, &source_from_target.rotation, &translation, &self.matches(source_from_target))
+            .expect("aligned points stay in front of the camera")
     }
 
     /// The camera of an image whose pixels are those of the grid: it sees pixel `(i, j)` where [`Scene::camera`] sees
@@ -120,7 +130,7 @@ pub struct Reference {
 /// `source_from_target` of a rotation vector, radians, and a translation in the target frame, metres.
 #[must_use]
 pub fn motion(omega: [f64; 3], in_target: [f64; 3]) -> Se3 {
-    let rotation = crate::so3::exp(&Vector3::from(omega));
+    let rotation = so3::exp(&Vector3::from(omega));
     Se3 { rotation, translation: rotation * Vector3::from(in_target) }
 }
 
@@ -166,6 +176,123 @@ pub fn references() -> [Reference; 6] {
     [drive_next(), drive_prev(), turn(), handheld(), lateral(), generic()]
 }
 
+/// What a network in training could say of a scene: exact flow, but depths and motion that are off.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Perturbed {
+    /// The scene with its true target depths.
+    pub scene: Scene,
+    /// Estimated rotation vector of `source_from_target`, radians.
+    pub omega: Vector3<f64>,
+    /// Estimated translation in the target frame, `t'`, metres.
+    pub in_target: Vector3<f64>,
+    /// Estimated target depths, metres.
+    pub target_depths: Vec<f64>,
+    /// The exact flow with estimated source depths.
+    pub matches: Vec<Match>,
+}
+
+impl Perturbed {
+    /// All estimates are the truth.
+    #[must_use]
+    pub fn exact(reference: &Reference) -> Self {
+        Self {
+            scene: reference.scene.clone(),
+            omega: so3::log(&reference.motion.rotation),
+            in_target: reference.motion.translation_in_from_frame(),
+            target_depths: reference.scene.depths.clone(),
+            matches: reference.scene.matches(&reference.motion),
+        }
+    }
+
+    /// The same with target depths multiplied by `factor(p)`.
+    #[must_use]
+    pub fn with_target_depths(self, factor: impl Fn(&Vector2<f64>) -> f64) -> Self {
+        let target_depths = self.scene.pixels.iter().zip(&self.scene.depths).map(|(p, z)| z * factor(p)).collect();
+        Self { target_depths, ..self }
+    }
+
+    /// An estimated motion, and relative errors of the depths in waves of these heights.
+    ///
+    /// Target depths are `1 + a sin(0.05 u + 0.03 v)` times the truth, source depths `1 + b cos(0.03 u - 0.04 v)` times, both at
+    /// the target pixel `(u, v)`.
+    #[must_use]
+    pub fn new(reference: &Reference, omega: Vector3<f64>, in_target: Vector3<f64>, [a, b]: [f64; 2]) -> Self {
+        let mut out = Self::exact(reference).with_target_depths(|p| 1.0 + a * target_wave(p));
+        out.matches.iter_mut().for_each(|m| m.source_depth *= 1.0 + b * (0.03 * m.target.x - 0.04 * m.target.y).cos());
+        Self { omega, in_target, ..out }
+    }
+
+    /// Errors from numbers in `[-1, 1]`: up to 0.003 rad about each axis, 10 % of each component of `t'`, 5 % of the depths.
+    #[must_use]
+    pub fn drawn(reference: &Reference, x: &[f64; 8]) -> Self {
+        let (omega, t) = (so3::log(&reference.motion.rotation), reference.motion.translation_in_from_frame());
+        let omega = omega + Vector3::new(x[0], x[1], x[2]) * 0.003;
+        let in_target = Vector3::from_fn(|k, _| t[k] * (1.0 + 0.1 * x[3 + k]));
+        Self::new(reference, omega, in_target, [0.05 * x[6], 0.05 * x[7]])
+    }
+
+    /// Estimated target depths, source depths and translation multiplied by one factor each.
+    #[must_use]
+    pub fn scaled(&self, target: f64, source: f64, translation: f64) -> Self {
+        let mut out = self.clone();
+        out.target_depths.iter_mut().for_each(|z| *z *= target);
+        out.matches.iter_mut().for_each(|m| m.source_depth *= source);
+        Self { in_target: self.in_target * translation, ..out }
+    }
+
+    /// Estimated rotation of `source_from_target`.
+    #[must_use]
+    pub fn rotation(&self) -> Matrix3<f64> {
+        so3::exp(&self.omega)
+    }
+
+    /// Planar flows of all pixels under the estimates, consistent convention.
+    ///
+    /// **Panics** when a point comes behind the camera.
+    #[must_use]
+    #[track_caller]
+    pub fn planar_flows(&self) -> Vec<Vector2<f64>> {
+        self.aligned(alignment::planar)
+    }
+
+    /// As [`Perturbed::planar_flows`], the axial ones.
+    #[must_use]
+    #[track_caller]
+    pub fn axial_flows(&self) -> Vec<Vector2<f64>> {
+        self.aligned(alignment::axial)
+    }
+
+    #[track_caller]
+    fn aligned(
+        &self,
+        align: fn(&Intrinsics, &Matrix3<f64>, &Vector3<f64>, &Match) -> Option<alignment::Aligned>,
+    ) -> Vec<Vector2<f64>> {
+        let rotation = self.rotation();
+        let flow = |m: &Match| align(&self.scene.camera, &rotation, &self.in_target, m).map(|a| a.flow);
+        self.matches.iter().map(|m| flow(m).expect("every point of a scene stays in front of the camera")).collect()
+    }
+}
+
+/// `sin(0.05 u + 0.03 v)`, the wave in which estimated target depths err.
+#[must_use]
+pub fn target_wave(p: &Vector2<f64>) -> f64 {
+    (0.05 * p.x + 0.03 * p.y).sin()
+}
+
+/// [`handheld`] with estimates that are far off.
+#[must_use]
+pub fn perturbed_handheld() -> Perturbed {
+    let (omega, in_target) = (Vector3::new(0.032, -0.047, 0.021), Vector3::new(0.066, 0.037, -0.085));
+    Perturbed::new(&handheld(), omega, in_target, [0.05, 0.04])
+}
+
+/// [`generic`] with estimates that are a little off.
+#[must_use]
+pub fn perturbed_generic() -> Perturbed {
+    let (omega, in_target) = (Vector3::new(0.0105, -0.0192, 0.0153), Vector3::new(0.256, 0.176, -0.41));
+    Perturbed::new(&generic(), omega, in_target, [0.02, 0.01])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -179,6 +306,41 @@ mod tests {
         assert!((near - 1.8).abs() < 0.1 && (far - 6.1).abs() < 0.1, "{near} {far}");
         assert_eq!(room().pixels[100], Vector2::new(72.0, 56.0));
         assert!((room().depths[100] - 4.362858214052638).abs() < 1e-14);
+    }
+
+    #[test]
+    fn estimates_without_error_align_exactly_and_errors_lie_where_they_say() {
+        let reference = handheld();
+        let exact = Perturbed::exact(&reference);
+        let t = exact.in_target;
+        for (i, (plane, axis)) in exact.planar_flows().iter().zip(exact.axial_flows()).enumerate() {
+            let (d, z) = (exact.scene.offsets()[i], exact.scene.depths[i]);
+            assert!((plane - crate::flow::tangential::tangential_flow(&exact.scene.camera, &t, z)).norm() < 1e-10);
+            assert!((axis + d * (t.z / (z + t.z))).norm() < 1e-10);
+        }
+        let off = perturbed_handheld();
+        let p = off.scene.pixels[100];
+        assert!((off.target_depths[100] / exact.target_depths[100] - 1.0 - 0.05 * target_wave(&p)).abs() < 1e-15);
+        let source = off.matches[100].source_depth / exact.matches[100].source_depth;
+        assert!((source - 1.0 - 0.04 * (0.03 * p.x - 0.04 * p.y).cos()).abs() < 1e-15);
+        assert_eq!(off.matches[100].source, exact.matches[100].source);
+    }
+
+    #[test]
+    fn drawn_errors_keep_their_bounds_and_vanish_at_zero() {
+        let reference = turn();
+        let exact = Perturbed::exact(&reference);
+        assert_eq!(Perturbed::drawn(&reference, &[0.0; 8]), exact);
+        let far = Perturbed::drawn(&reference, &[1.0; 8]);
+        assert!(((far.omega - exact.omega) / 0.003 - Vector3::repeat(1.0)).norm() < 1e-9);
+        assert!((far.in_target - exact.in_target * 1.1).norm() < 1e-15);
+        let error = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
+        let target = error(&far.target_depths, &exact.target_depths);
+        assert!(target > 0.049 && target < 0.05 + 1e-15, "{target}");
+        let scaled = far.scaled(2.0, 3.0, 5.0);
+        assert_eq!(scaled.target_depths[7], 2.0 * far.target_depths[7]);
+        assert_eq!(scaled.matches[7].source_depth, 3.0 * far.matches[7].source_depth);
+        assert_eq!(scaled.in_target, far.in_target * 5.0);
     }
 
     #[test]

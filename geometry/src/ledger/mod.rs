@@ -17,6 +17,7 @@
 
 mod claim;
 mod claims;
+pub mod estimates;
 mod findings;
 mod flow_gradients;
 pub mod forward;

@@ -42,18 +42,6 @@ pub fn circular(flows: &[Vector2<f64>]) -> f64 {
     2.0 * (1.0 - sum.norm() / flows.len() as f64)
 }
 
-/// Variance of the angles about the mean direction, each difference taken the short way round, rad^2.
-///
-/// The differences from the direction of `sum f / |f|` are wrapped to `(-pi, pi]` and their population variance is taken: no
-/// jump at the negative axis, equal to [`circular`] to second order.
-#[must_use]
-pub fn wrapped(flows: &[Vector2<f64>]) -> f64 {
-    let direction: Vector2<f64> = flows.iter().map(|f| f / f.norm()).sum();
-    let angle = |f: &Vector2<f64>| direction.perp(f).atan2(direction.dot(f));
-    let centre = mean(flows.iter().map(angle));
-    mean(flows.iter().map(|f| (angle(f) - centre).powi(2)))
-}
-
 /// Magnitude-weighted circular variance `2 (1 - |sum f| / sum |f|)`.
 #[must_use]
 pub fn weighted(flows: &[Vector2<f64>]) -> f64 {

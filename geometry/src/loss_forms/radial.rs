@@ -2,15 +2,22 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::{aggregate_term, mean, pixel_term};
+use super::mean;
+use super::ratio_terms::{aggregate_term, pixel_term};
 use crate::ratios::{inverse_radial_ratio, radial_ratio};
 
 /// Eq. `lr` as printed: pixel plus aggregate term, without unit.
 #[must_use]
 pub fn printed(flows: &[Vector2<f64>], d: &[Vector2<f64>], depths: &[f64], a: &Vector3<f64>) -> f64 {
+    printed_terms(flows, d, depths, a).iter().sum()
+}
+
+/// The two terms of [`printed`]: pixel, aggregate.
+#[must_use]
+pub fn printed_terms(flows: &[Vector2<f64>], d: &[Vector2<f64>], depths: &[f64], a: &Vector3<f64>) -> [f64; 2] {
     let ratios: Vec<_> = flows.iter().zip(d).map(|(f, d)| radial_ratio(f, d)).collect();
     let inverse: Vec<_> = flows.iter().zip(d).map(|(f, d)| inverse_radial_ratio(f, d)).collect();
-    pixel_term(&ratios, depths, a.z) + aggregate_term(&inverse, depths, a.z)
+    [pixel_term(&ratios, depths, a.z), aggregate_term(&inverse, depths, a.z)]
 }
 
 /// `E[|z/rho_z - a_z|] / |a|`.

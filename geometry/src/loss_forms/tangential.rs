@@ -2,7 +2,8 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::{aggregate_term, mean, pixel_term};
+use super::mean;
+use super::ratio_terms::{aggregate_term, pixel_term};
 use crate::camera::Intrinsics;
 use crate::flow::tangential::tangential_flow;
 use crate::ratios::{inverse_tangential_ratios, tangential_ratios};
@@ -12,13 +13,19 @@ use crate::ratios::{inverse_tangential_ratios, tangential_ratios};
 /// Not finite when a translation component or a flow component is zero.
 #[must_use]
 pub fn printed(camera: &Intrinsics, flows: &[Vector2<f64>], depths: &[f64], a: &Vector3<f64>) -> f64 {
-    (0..2)
-        .map(|k| {
-            let ratios: Vec<_> = flows.iter().map(|f| tangential_ratios(camera, f)[k]).collect();
-            let inverse: Vec<_> = flows.iter().map(|f| inverse_tangential_ratios(camera, f)[k]).collect();
-            pixel_term(&ratios, depths, a[k]) + aggregate_term(&inverse, depths, a[k])
-        })
-        .sum()
+    printed_terms(camera, flows, depths, a).iter().sum()
+}
+
+/// The four terms of [`printed`]: pixel and aggregate along u, pixel and aggregate along v.
+#[must_use]
+pub fn printed_terms(camera: &Intrinsics, flows: &[Vector2<f64>], depths: &[f64], a: &Vector3<f64>) -> [f64; 4] {
+    let axis = |k: usize| {
+        let ratios: Vec<_> = flows.iter().map(|f| tangential_ratios(camera, f)[k]).collect();
+        let inverse: Vec<_> = flows.iter().map(|f| inverse_tangential_ratios(camera, f)[k]).collect();
+        [pixel_term(&ratios, depths, a[k]), aggregate_term(&inverse, depths, a[k])]
+    };
+    let [[pixel_x, aggregate_x], [pixel_y, aggregate_y]] = [axis(0), axis(1)];
+    [pixel_x, aggregate_x, pixel_y, aggregate_y]
 }
 
 /// `sum_k E[|z/rho_k - a_k|] / |a|`, k = x, y: linear in the flow, no small denominators.
@@ -33,6 +40,25 @@ pub fn inverse_ratio(camera: &Intrinsics, flows: &[Vector2<f64>], depths: &[f64]
 #[must_use]
 pub fn flow_pixels(camera: &Intrinsics, flows: &[Vector2<f64>], depths: &[f64], a: &Vector3<f64>) -> f64 {
     mean(flows.iter().zip(depths).map(|(f, &z)| (f - tangential_flow(camera, a, z)).norm()))
+}
+
+/// Derivatives of `|f_pla - (f o a_tan) / z|` at one pixel with respect to `a_x`, `a_y` and `z`, pixels a metre (L55).
+///
+/// **Formula**: with the unit residual `u = (F / z - f_pla) / |F / z - f_pla|`, `F = f o a_tan`: `(u_x f_u / z, u_y f_v / z,
+/// -u.F / z^2)`. The first two never exceed `f_u / z`, `f_v / z`, however small the translation.
+/// **Domain**: residual not zero; there is the kink.
+#[must_use]
+pub fn flow_pixels_slopes(camera: &Intrinsics, flow: &Vector2<f64>, z: f64, a: &Vector3<f64>) -> Vector3<f64> {
+    let predicted = tangential_flow(camera, a, z);
+    let unit = (predicted - flow).normalize();
+    Vector3::new(unit.x * camera.fu / z, unit.y * camera.fv / z, -unit.dot(&predicted) / z)
+}
+
+/// The same equation on each axis of its own: `E[|f_k - (f o a)_k / z|]`, pixels (L55).
+#[must_use]
+pub fn flow_pixels_by_axis(camera: &Intrinsics, flows: &[Vector2<f64>], depths: &[f64], a: &Vector3<f64>) -> Vector2<f64> {
+    let residual = |k: usize| mean(flows.iter().zip(depths).map(|(f, &z)| (f - tangential_flow(camera, a, z))[k].abs()));
+    Vector2::new(residual(0), residual(1))
 }
 
 #[cfg(test)]

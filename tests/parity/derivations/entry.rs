@@ -99,6 +99,19 @@ impl Entry {
         self.reproduced.borrow_mut().insert(pointer);
     }
 
+    /// Compares one number by its relative error alone, however small it is.
+    #[track_caller]
+    pub fn check_relative(&self, place: &str, found: f64) {
+        let expected = self.value["expected"].pointer(&format!("/{place}")).and_then(Value::as_f64);
+        let expected = expected.unwrap_or_else(|| panic!("{:?} expects no number at '{place}'", self.name()));
+        let rtol = self.value["rtol"].as_f64().unwrap();
+        assert!(
+            (found - expected).abs() <= rtol * expected.abs(),
+            "{:?} '{place}': {found:e}, expected {expected:e}",
+            self.name()
+        );
+    }
+
     /// Fails when an expected number was not compared.
     #[track_caller]
     pub fn finish(&self) {

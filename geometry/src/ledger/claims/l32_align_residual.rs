@@ -6,7 +6,8 @@ use crate::alignment::{Convention, printed};
 use crate::ledger::{Claim, Findings, Trial, Verdict};
 use crate::loss_forms::{axial, planar, tangential};
 use crate::ratios::{radial_ratio, tangential_ratios};
-use crate::scenes::{AlignedScene, families};
+use crate::aligned_scene::AlignedScene;
+use crate::scenes::families;
 use crate::se3::Se3;
 
 pub(super) static CLAIM: Claim = Claim {

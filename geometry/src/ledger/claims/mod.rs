@@ -62,6 +62,20 @@ index! {
     l48_axi_confusion,
     l49_observability,
     l50_principal_point,
+    l51_rho_xy,
+    l52_rho_z,
+    l53_recovery,
+    l54_cycle,
+    l55_tx_to_zero,
+    l56_scale_invariance,
+    l57_ratio_bias,
+    l58_recovery_bias,
+    l59_pixel_term_gradient,
+    l60_rho_z_noise,
+    l61_rotation_leak,
+    l62_loss_gradients,
+    l63_percentages,
+    l64_counts,
 }
 
 /// All claims, by number.

@@ -4,6 +4,8 @@
 //! backward rule finds no accomplice here.
 
 pub mod direction;
+pub mod pipeline;
+pub mod ratio;
 
 use dimode_autodiff::proof::{Dual, Number};
 
