@@ -45,8 +45,11 @@ pub(super) fn ways(case: &Case) -> Ways {
     }
 }
 
+/// An input, and its derivative among the closed forms.
+pub(super) type Part = (Input, fn(&TranslationalGradients) -> Vector2<f64>);
+
 /// Compares some of the closed forms with all other ways, without the case's rotation and with it.
-pub(super) fn compare(case: &Case, f: &mut Findings, what: &str, parts: &[(Input, fn(&TranslationalGradients) -> Vector2<f64>)]) {
+pub(super) fn compare(case: &Case, f: &mut Findings, what: &str, parts: &[Part]) {
     let straight = case.without_rotation();
     let (camera, p, z) = (&case.camera, &case.pixel, case.depth);
     let without = translational_gradients(camera, &straight.motion.translation, p, z);

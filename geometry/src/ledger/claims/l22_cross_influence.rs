@@ -77,11 +77,12 @@ fn at(case: &Case, f: &mut Findings) {
         f.derivative("d(df/dt_x)/dt_z, d(df/dt_y)/dt_z", closed.as_slice(), None, None, Some(first.as_slice()), scale);
         f.derivative("d(df/dt_z)/dt_x, d(df/dt_z)/dt_y", closed.as_slice(), None, None, Some(second.as_slice()), scale);
     }
-    for k in 0..2 {
-        let logarithm = ((radial[0][k].norm() / radial[1][k].norm()).ln()) / (2.0 * h);
+    for (above, below) in radial[0].iter().zip(&radial[1]).take(2) {
+        let (above_size, below_size) = (above.norm(), below.norm());
+        let logarithm = (above_size / below_size).ln() / (2.0 * h);
         let closed = radial_influence(z, t.z);
         f.derivative("d ln |df/dt_x| / dt_z", &[closed], None, None, Some(&[logarithm]), 1.0 / source_depth);
-        f.residual("turn of df/dt_x, df/dt_y with t_z, px/m", radial[0][k].perp(&radial[1][k]), 1e-12);
+        f.residual("turn of df/dt_x, df/dt_y with t_z, rad", above.perp(below) / (above_size * below_size), 1e-12);
     }
     taped_second(&case, f);
     shares(&case, f);
