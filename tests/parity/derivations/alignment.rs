@@ -1,5 +1,6 @@
 //! Gradients of the flow, decomposition and alignment (L18 to L35).
 
+use dimode_geometry::aligned_scene::AlignedScene;
 use dimode_geometry::alignment::corrections::{self, AlignedBoth, Referred};
 use dimode_geometry::alignment::{self, Convention, Match, printed};
 use dimode_geometry::backprojection::{InverseDepthPlane, source_point};
@@ -9,7 +10,6 @@ use dimode_geometry::flow::radial::radial_flow;
 use dimode_geometry::flow::tangential::tangential_flow;
 use dimode_geometry::loss_forms::{axial, planar, radial, tangential};
 use dimode_geometry::motion::MotionParts;
-use dimode_geometry::aligned_scene::AlignedScene;
 use dimode_geometry::scenes::{self, Reference, families};
 use dimode_geometry::{Intrinsics, Se3, so3};
 use nalgebra::{Vector2, Vector3};
@@ -107,8 +107,8 @@ fn reference_of(e: &Entry) -> Reference {
     found
 }
 
-fn check_losses(e: &Entry, place: &str, flows: &AlignedScene, atol: f64) {
-    let AlignedScene { camera, planar: pla, axial: axi, offsets: d, depths, translation: a } = flows;
+fn check_losses(e: &Entry, place: &str, flows: &AlignedScene, depths: &[f64], atol: f64) {
+    let AlignedScene { camera, planar: pla, axial: axi, offsets: d, translation: a } = flows;
     let values = [
         ("lpla_printed", planar::printed(pla)),
         ("lpla_circ", planar::circular(pla)),
@@ -127,7 +127,7 @@ fn check_losses(e: &Entry, place: &str, flows: &AlignedScene, atol: f64) {
 fn reference_motion(e: &Entry) {
     let r = reference_of(e);
     for (place, convention, atol) in [("printed", Convention::AsPrinted, 0.0), ("target_frame", Convention::Consistent, 1e-9)] {
-        check_losses(e, place, &r.scene.aligned(&r.motion, convention), atol);
+        check_losses(e, place, &r.scene.aligned(&r.motion, convention), &r.scene.depths, atol);
     }
     pixel_100(e, &r);
     corrected(e, &r);
@@ -221,7 +221,7 @@ fn family_row(family: &families::Family, motion: &Se3, degrees: f64, length: f64
     let (camera, d) = (&family.scene.camera, family.scene.offsets());
     let flows = family.scene.aligned(motion, Convention::AsPrinted);
     let (t, delta) = (motion.translation, printed::defect(motion));
-    let pixel = printed::pixel_terms(camera, motion, &family.scene.pixels, &flows.depths);
+    let pixel = printed::pixel_terms(camera, motion, &family.scene.pixels, &family.scene.depths);
     let factors = printed::tangential_ratio_factors(motion);
     // The chord of an arc is horizontal: no motion along y, and the table says 0 for its ratio and term.
     let or_zero = |x: f64| if motion.translation_in_from_frame().y == 0.0 { 0.0 } else { x };

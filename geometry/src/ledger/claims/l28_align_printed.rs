@@ -127,7 +127,7 @@ fn without_rotation(case: &Case, f: &mut Findings) {
 /// One row of the table: plain and taped losses, printed and corrected.
 fn table(reference: &Reference, expected: [f64; 4], f: &mut Findings) {
     let Reference { name, scene, motion } = reference;
-    let plain = |convention| scene.aligned(motion, convention).losses();
+    let plain = |convention| scene.aligned(motion, convention).losses(&scene.depths);
     let options = |convention| LossOptions {
         convention,
         planar: PlanarForm::Circular,

@@ -50,7 +50,7 @@ fn check(trial: &mut Trial) {
     let all = families::all();
     for (family, (degrees, l_pla, l_axi, term)) in all.iter().zip(DOCUMENTED) {
         let motion = family.motion(f64::to_radians(degrees), 1.0);
-        let losses = family.scene.aligned(&motion, Convention::AsPrinted).losses();
+        let losses = family.scene.aligned(&motion, Convention::AsPrinted).losses(&family.scene.depths);
         let pixel = printed::pixel_terms(&family.scene.camera, &motion, &family.scene.pixels, &family.scene.depths);
         let f = &mut trial.findings;
         f.documented("L_pla, documented", losses[0], l_pla, 1e-5);
@@ -74,7 +74,8 @@ fn at(family: &families::Family, angle: f64, length: f64, wall: f64, f: &mut Fin
     let [l_pla, l_axi] = [printed::planar_loss(camera, &motion, &d), printed::axial_loss(camera, &motion, &d)];
     f.residual("L_pla - closed form", planar::circular(&full.planar) - l_pla, 1e-11);
     f.residual("L_axi - closed form, rad", axial::pose_sign(&full.axial, &d, motion.translation.z) - l_axi, 1e-11);
-    let elsewhere = scene.at_depth(wall).aligned(&family.motion(angle, 0.5 * length), Convention::AsPrinted).losses();
+    let wall = scene.at_depth(wall);
+    let elsewhere = wall.aligned(&family.motion(angle, 0.5 * length), Convention::AsPrinted).losses(&wall.depths);
     f.residual("L_pla before a wall at half the speed - closed form", elsewhere[0] - l_pla, 1e-11);
     f.residual("L_axi before a wall at half the speed - closed form, rad", elsewhere[1] - l_axi, 1e-11);
     corrected(family, &motion, f);
@@ -85,9 +86,9 @@ fn at(family: &families::Family, angle: f64, length: f64, wall: f64, f: &mut Fin
 /// Under correction B nothing is left. Printed `L_tan` divides by `t'_y`, which the arc has none of: there its inverse form counts.
 fn corrected(family: &families::Family, motion: &Se3, f: &mut Findings) {
     let aligned = family.scene.aligned(motion, Convention::Consistent);
-    let mut losses = aligned.losses();
+    let mut losses = aligned.losses(&family.scene.depths);
     if matches!(family.heading, families::Heading::Arc) {
-        losses[2] = tangential::inverse_ratio(&aligned.camera, &aligned.planar, &aligned.depths, &aligned.translation);
+        losses[2] = tangential::inverse_ratio(&aligned.camera, &aligned.planar, &family.scene.depths, &aligned.translation);
     }
     for loss in losses {
         f.residual("losses of the corrected alignment", loss, 1e-9);

@@ -57,7 +57,7 @@ fn driving(draw: &mut Draw) -> Se3 {
 
 fn at(motion: &Se3, f: &mut Findings) {
     let scene = scenes::road();
-    let full = scene.aligned(motion, Convention::AsPrinted).losses();
+    let full = scene.aligned(motion, Convention::AsPrinted).losses(&scene.depths);
     let d = scene.offsets();
     f.residual("L_pla - closed form", full[0] - printed::planar_loss(&scene.camera, motion, &d), 1e-11);
     f.residual("L_axi - closed form, rad", full[1] - printed::axial_loss(&scene.camera, motion, &d), 1e-11);

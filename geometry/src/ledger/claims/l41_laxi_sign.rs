@@ -35,7 +35,7 @@ fn check(trial: &mut Trial) {
             return f.residual("a reference in front of the camera", f64::NAN, 1.0);
         };
         f.residual("printed loss of the references, documented, rad", axial::printed(&seen.axial, &seen.offsets) - expected, 1e-9);
-        f.residual("sign-aware loss of the references, rad", axial::pose_sign(&seen.axial, &seen.offsets, seen.a.z), 1e-9);
+        f.residual("sign-aware loss of the references, rad", axial::pose_sign(&seen.axial, &seen.offsets, seen.translation.z), 1e-9);
         f.residual("loss by the sign of the flows, rad", axial::flow_sign(&seen.axial, &seen.offsets), 1e-9);
         f.residual("loss between the lines, rad", axial::folded(&seen.axial, &seen.offsets), 1e-9);
     }

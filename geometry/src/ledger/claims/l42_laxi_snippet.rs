@@ -57,7 +57,7 @@ fn snippet(next: Se3) -> [Reference; 2] {
 fn at(references: &[Reference; 2], f: &mut Findings) {
     let losses = references.each_ref().map(|reference| {
         let seen = AlignedScene::with_error(reference, &[0.0; 6])?;
-        Some([axial::printed(&seen.axial, &seen.offsets), axial::pose_sign(&seen.axial, &seen.offsets, seen.a.z)])
+        Some([axial::printed(&seen.axial, &seen.offsets), axial::pose_sign(&seen.axial, &seen.offsets, seen.translation.z)])
     });
     let [Some(next), Some(previous)] = losses else {
         return f.residual("scenes in front of the camera", f64::NAN, 1.0);

@@ -46,7 +46,7 @@ fn check(trial: &mut Trial) {
 /// Printed and sign-aware loss with an error of `t'`.
 fn losses(reference: &Reference, error: Vector3<f64>) -> Option<[f64; 2]> {
     let seen = AlignedScene::with_error(reference, &[0.0, 0.0, 0.0, error.x, error.y, error.z])?;
-    let true_z = seen.a.z - error.z;
+    let true_z = seen.translation.z - error.z;
     Some([axial::printed(&seen.axial, &seen.offsets), axial::pose_sign(&seen.axial, &seen.offsets, true_z)])
 }
 

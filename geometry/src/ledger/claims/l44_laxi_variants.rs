@@ -195,7 +195,7 @@ mod tests {
     #[test]
     fn the_sign_of_the_pose_follows_a_wrong_estimate_and_that_of_the_flows_does_not() {
         let seen = AlignedScene::with_error(&scenes::drive_prev(), &[0.0; 6]).unwrap();
-        assert!(axial::pose_sign(&seen.axial, &seen.offsets, -seen.a.z) > 3.14);
+        assert!(axial::pose_sign(&seen.axial, &seen.offsets, -seen.translation.z) > 3.14);
         assert!(axial::flow_sign(&seen.axial, &seen.offsets) < 1e-9);
     }
 }
