@@ -13,14 +13,15 @@ pub(super) static CLAIM: Claim = Claim {
     id: "L39",
     slug: "lpla-variants",
     place: "derived from eq. lp",
-    statement: "2 (1 - |E[f / |f|]|) and 2 (1 - |sum f| / sum |f|) measure parallelism: zero exactly for parallel flows of one orientation, \
-                the same in every direction, with the gradients below.",
+    statement: "2 (1 - |E[f / |f|]|) and 2 (1 - |sum f| / sum |f|) measure parallelism: zero exactly for parallel flows of one \
+                orientation, the same in every direction, with the gradients below.",
     verdict: Verdict::Exact,
     condition: Some("flows and their mean direction not zero"),
-    formula: "circular: dL/df_i = (2/N) sin(theta_i - theta_mean) (-sin theta_i, cos theta_i) / |f_i|; \
-              weighted: dL/df_i = -(2/S) (m - (|sum f|/S) f_i/|f_i|), S = sum |f|, m = sum f / |sum f|",
-    derivation: "|E[n]| <= E|n| = 1 with equality exactly for equal unit vectors n. d|E[n]| = m . dn_i / N with the unit vector m of the mean, and dn_i \
-                 = (-sin, cos) dtheta_i. The variance of atan2 alone is not enough: it jumps for leftward flows.",
+    formula: "circular: dL/df_i = (2/N) sin(theta_i - theta_mean) (-sin theta_i, cos theta_i) / |f_i|; weighted: dL/df_i = \
+              -(2/S) (m - (|sum f|/S) f_i/|f_i|), S = sum |f|, m = sum f / |sum f|",
+    derivation: "|E[n]| <= E|n| = 1 with equality exactly for equal unit vectors n. d|E[n]| = m . dn_i / N with the unit \
+                 vector m of the mean, and dn_i = (-sin, cos) dtheta_i. The variance of atan2 alone is not enough: it jumps \
+                 for leftward flows.",
     counter_example: None,
     correction: None,
     functions: &[
@@ -146,14 +147,7 @@ fn derivatives(flows: &[Vector2<f64>], f: &mut Findings) {
         let closed = by::scaled(flows, &closed(flows));
         let scale = closed.iter().fold(0.0f64, |m, x| m.max(x.abs()));
         let (forward, tape, central) = (by::forward(flows, dual), tape(flows), by::central(flows, plain));
-        f.derivative(
-            &format!("dL/df, {name}, lengths of the flow"),
-            &closed,
-            Some(&forward),
-            Some(&tape),
-            Some(&central),
-            scale,
-        );
+        f.derivative(&format!("dL/df, {name}, lengths of the flow"), &closed, Some(&forward), Some(&tape), Some(&central), scale);
     }
 }
 
