@@ -15,12 +15,12 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Fails,
     condition: None,
     formula: "f_pla = (f o t'_tan) / z,  f_axi = -t'_z / (z + t'_z) d",
-    derivation: "(1) All planar flows are positive multiples of f o t'_tan, so the cosine is constant; but the cosine of a flow \
-                 mirrored about e_1 is the same. (2) -t'_z / (z + t'_z) has the sign of -t'_z: away from p0 for t'_z < 0, toward it for \
-                 t'_z > 0.",
+    derivation: "(1) All planar flows are positive multiples of f o t'_tan, so the cosine is constant; but the cosine of a \
+                 flow mirrored about e_1 is the same. (2) -t'_z / (z + t'_z) has the sign of -t'_z: away from p0 for t'_z < 0, \
+                 toward it for t'_z > 0.",
     counter_example: Some(
-        "(1) (1, 0.5) and (1, -0.5) share the cosine 0.894427 and enclose 0.927295 rad. (2) For every t'_z > 0 the unit vectors \
-         f / |f| and d / r are opposite: 2 apart.",
+        "(1) (1, 0.5) and (1, -0.5) share the cosine 0.894427 and enclose 0.927295 rad. (2) For every t'_z > 0 the unit \
+         vectors f / |f| and d / r are opposite: 2 apart.",
     ),
     correction: Some("(1) is necessary only. (2) f / |f| = -sign(t'_z) d / r."),
     functions: &["flow::tangential::tangential_flow", "flow::radial::radial_flow", "loss_forms::planar::circular"],

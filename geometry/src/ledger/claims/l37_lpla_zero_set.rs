@@ -14,16 +14,20 @@ pub(super) static CLAIM: Claim = Claim {
     statement: "L_pla, the variance of arccos(e_1 . f / |f|), vanishes exactly when the planar flows are parallel.",
     verdict: Verdict::Fails,
     condition: None,
-    formula: "arccos(f_u / |f|) = |atan2(f_v, f_u)|: L_pla = 0 exactly when all directions are alpha or -alpha for one alpha in [0, pi]",
-    derivation: "arccos of a cosine is the angle without its sign. Two flows mirrored about e_1 have one angle, and so have two \
-                 opposite vertical flows (pi/2 and -pi/2). A symmetric spread about e_1 is folded: uniform angles in [-s, s] have the \
-                 variance s^2/3, their magnitudes s^2/12; for normal angles the share is 1 - 2/pi.",
+    formula: "arccos(f_u / |f|) = |atan2(f_v, f_u)|: L_pla = 0 exactly when all directions are alpha or -alpha for one alpha \
+              in [0, pi]",
+    derivation: "arccos of a cosine is the angle without its sign. Two flows mirrored about e_1 have one angle, and so have \
+                 two opposite vertical flows (pi/2 and -pi/2). A symmetric spread about e_1 is folded: uniform angles in [-s, \
+                 s] have the variance s^2/3, their magnitudes s^2/12; for normal angles the share is 1 - 2/pi.",
     counter_example: Some(
-        "Mirrored flows (1, .5), (1, -.5), (2, 1), (.4, -.2): printed 0, circular 0.211146. Antiparallel flows (0, 1), (0, -2), \
-         (0, .5), (0, -1.5): printed 0, circular 2. A fan of 11 directions costs 0.0219 about the horizontal axis and 0.0897 about \
-         the vertical one; in the room with t' = (0.12, 0, 0.02) and t'_z 20 % too large 1.186e-05 against 4.787e-05.",
+        "Mirrored flows (1, .5), (1, -.5), (2, 1), (.4, -.2): printed 0, circular 0.211146. Antiparallel flows (0, 1), (0, \
+         -2), (0, .5), (0, -1.5): printed 0, circular 2. A fan of 11 directions costs 0.0219 about the horizontal axis and \
+         0.0897 about the vertical one; in the room with t' = (0.12, 0, 0.02) and t'_z 20 % too large 1.186e-05 against \
+         4.787e-05.",
     ),
-    correction: Some("Circular variance 2 (1 - |E[f / |f|]|): zero exactly for parallel flows of one orientation, in every direction alike."),
+    correction: Some(
+        "Circular variance 2 (1 - |E[f / |f|]|): zero exactly for parallel flows of one orientation, in every direction alike.",
+    ),
     functions: &["loss_forms::planar::printed", "loss_forms::planar::circular", "loss_forms::planar::weighted"],
     check,
 };
@@ -35,7 +39,13 @@ fn check(trial: &mut Trial) {
     fans(f);
     let (printed, circular) = scaled_translation(Vector3::new(0.12, 0.0, 0.02), 1.2);
     f.equal("room, t'_z 20 % too large, printed, relative to the documented value", printed, 1.18624285774e-05, 1e-5, 1e-9);
-    f.equal("room, t'_z 20 % too large, circular, relative to the documented value", circular, 4.7866545077599944e-05, 1e-5, 1e-9);
+    f.equal(
+        "room, t'_z 20 % too large, circular, relative to the documented value",
+        circular,
+        4.7866545077599944e-05,
+        1e-5,
+        1e-9,
+    );
     f.gap("room: circular over printed", circular / printed, 3.6);
 }
 
@@ -65,7 +75,11 @@ fn fans(f: &mut Findings) {
     f.residual("circular: one fan - the other", planar::circular(&fan(0)) - planar::circular(&fan(1)), 1e-12);
     f.gap("printed: vertical over horizontal fan", about_v / about_u, 3.6);
     f.residual("share of a uniform spread kept about the horizontal axis - 1/4", kept(&uniform()) - 0.25, 1e-6);
-    f.residual("share of a normal spread kept about the horizontal axis - (1 - 2/pi)", kept(&normal()) - (1.0 - 2.0 / std::f64::consts::PI), 1e-3);
+    f.residual(
+        "share of a normal spread kept about the horizontal axis - (1 - 2/pi)",
+        kept(&normal()) - (1.0 - 2.0 / std::f64::consts::PI),
+        1e-3,
+    );
 }
 
 /// Printed over unfolded variance of small angles.
@@ -82,7 +96,12 @@ fn uniform() -> Vec<f64> {
 /// Angles whose numbers follow the normal density of deviation 0.01, out to five deviations.
 fn normal() -> Vec<f64> {
     let copies = |x: f64| (1000.0 * (-0.5 * x * x).exp()).round() as usize;
-    (-250..250).flat_map(|i| { let x = (f64::from(i) + 0.5) / 50.0; std::iter::repeat_n(0.01 * x, copies(x)) }).collect()
+    (-250..250)
+        .flat_map(|i| {
+            let x = (f64::from(i) + 0.5) / 50.0;
+            std::iter::repeat_n(0.01 * x, copies(x))
+        })
+        .collect()
 }
 
 /// Printed and circular loss in the room without rotation, when `t'_z` is taken `factor` times too large.
@@ -100,13 +119,21 @@ fn at(case: &Case, f: &mut Findings) {
     let mirror = |flows: &[Vector2<f64>]| -> Vec<Vector2<f64>> {
         flows.iter().enumerate().map(|(i, f)| if pick >> i & 1 == 1 { Vector2::new(f.x, -f.y) } else { *f }).collect()
     };
-    f.residual("printed loss - the same after some flows were mirrored, rad^2", planar::printed(&flows) - planar::printed(&mirror(&flows)), 1e-13);
+    f.residual(
+        "printed loss - the same after some flows were mirrored, rad^2",
+        planar::printed(&flows) - planar::printed(&mirror(&flows)),
+        1e-13,
+    );
     let along: Vec<_> = flows.iter().map(|f| flows[0] * (f.norm() / flows[0].norm())).collect();
     f.residual("printed loss of directions alpha and -alpha, rad^2", planar::printed(&mirror(&along)), 1e-13);
     f.residual("circular loss of parallel flows", planar::circular(&along), 1e-13);
     let share = pick.count_ones() as f64 / 5.0;
     let expected = spread_of_two(flows[0].y.atan2(flows[0].x), share);
-    f.residual("circular loss of directions alpha and -alpha - 2 (1 - |mean|)", planar::circular(&mirror(&along)) - expected, 1e-12);
+    f.residual(
+        "circular loss of directions alpha and -alpha - 2 (1 - |mean|)",
+        planar::circular(&mirror(&along)) - expected,
+        1e-12,
+    );
 }
 
 /// Circular variance when the share `s` of the directions is `-alpha`, the rest `alpha`.

@@ -15,11 +15,13 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Conditional,
     condition: Some("f_v and f not zero, and not by the chain rule through arccos"),
     formula: "d theta / df = sign(f_v) (-f_v, f_u) / |f|^2",
-    derivation: "d arccos(c) / dc = -1 / sqrt(1 - c^2) = -|f| / |f_v| grows without bound as f_v -> 0, while dc/df = f_v^2, -f_u f_v over \
-                 |f|^3 vanishes: the product stays 1 / |f| long and changes its sign at f_v = 0. Taken factor by factor it is infinity times 0.",
+    derivation: "d arccos(c) / dc = -1 / sqrt(1 - c^2) = -|f| / |f_v| grows without bound as f_v -> 0, while dc/df = f_v^2, \
+                 -f_u f_v over |f|^3 vanishes: the product stays 1 / |f| long and changes its sign at f_v = 0. Taken factor by \
+                 factor it is infinity times 0.",
     counter_example: Some(
-        "One horizontal flow among others makes every entry of the taped printed gradient that passes it NaN. In f32 the cosine rounds to 1 for |f_v / f_u| \
-         < 2.4e-4, and a clamp at 1 - 1e-7 hides angles below 4.5e-4 rad. Near f = 0 every form has a gradient of the size 1 / |f|.",
+        "One horizontal flow among others makes every entry of the taped printed gradient that passes it NaN. In f32 the \
+         cosine rounds to 1 for |f_v / f_u| < 2.4e-4, and a clamp at 1 - 1e-7 hides angles below 4.5e-4 rad. Near f = 0 every \
+         form has a gradient of the size 1 / |f|.",
     ),
     correction: Some("Evaluate the angle as atan2(|f_v|, f_u) and leave out flows shorter than a threshold."),
     functions: &[
@@ -31,7 +33,8 @@ pub(super) static CLAIM: Claim = Claim {
 };
 
 /// Row `f_v` of the table for `f_u = 1`: slope of the arc cosine and the two derivatives of the angle.
-const TABLE: [[f64; 4]; 2] = [[1e-2, -100.004999875, -0.00999900009999, 0.999900009999], [1e-4, -10000.00005, -9.9999999e-05, 0.99999999]];
+const TABLE: [[f64; 4]; 2] =
+    [[1e-2, -100.004999875, -0.00999900009999, 0.999900009999], [1e-4, -10000.00005, -9.9999999e-05, 0.99999999]];
 
 fn check(trial: &mut Trial) {
     trial.cases(at);
@@ -85,7 +88,11 @@ fn at(case: &Case, f: &mut Findings) {
     f.derivative("d theta / d f, lengths of the flow", &closed, Some(&forward), Some(&tape), Some(&central), 1.0);
     f.residual("|f| |d theta / df| - 1", closed[0].hypot(closed[1]) - 1.0, 1e-13);
     let chain = gradients::arccos_slope(&flow) * Vector2::new(flow.y * flow.y, -flow.x * flow.y) / flow.norm().powi(2);
-    f.residual("slope of the arc cosine times dc/df - closed form, lengths of the flow", (chain - Vector2::new(closed[0], closed[1])).norm(), 1e-12);
+    f.residual(
+        "slope of the arc cosine times dc/df - closed form, lengths of the flow",
+        (chain - Vector2::new(closed[0], closed[1])).norm(),
+        1e-12,
+    );
 }
 
 #[cfg(test)]

@@ -16,7 +16,9 @@ pub(super) static CLAIM: Claim = Claim {
     condition: Some("t'_z < 0: the source lies ahead of the target"),
     formula: "f_axi = -t'_z / (z + t'_z) d: the angle is 0 for t'_z < 0 and pi for t'_z > 0",
     derivation: "z + t'_z is positive, so the flow points along d for t'_z < 0 and against it for t'_z > 0.",
-    counter_example: Some("drive_prev (t'_z = 0.8 m): printed 3.14159 rad at the truth, sign-aware 0. drive_next (t'_z = -0.8 m): both 0."),
+    counter_example: Some(
+        "drive_prev (t'_z = 0.8 m): printed 3.14159 rad at the truth, sign-aware 0. drive_next (t'_z = -0.8 m): both 0.",
+    ),
     correction: Some("Compare with -sign(t'_z) d, or take the angle between the lines."),
     functions: &[
         "loss_forms::axial::printed",
@@ -34,7 +36,11 @@ fn check(trial: &mut Trial) {
         let Some(seen) = AlignedScene::with_error(&reference, &[0.0; 6]) else {
             return f.residual("a reference in front of the camera", f64::NAN, 1.0);
         };
-        f.residual("printed loss of the references, documented, rad", axial::printed(&seen.axial, &seen.offsets) - expected, 1e-9);
+        f.residual(
+            "printed loss of the references, documented, rad",
+            axial::printed(&seen.axial, &seen.offsets) - expected,
+            1e-9,
+        );
         f.residual("sign-aware loss of the references, rad", axial::pose_sign(&seen.axial, &seen.offsets, seen.translation.z), 1e-9);
         f.residual("loss by the sign of the flows, rad", axial::flow_sign(&seen.axial, &seen.offsets), 1e-9);
         f.residual("loss between the lines, rad", axial::folded(&seen.axial, &seen.offsets), 1e-9);
@@ -60,7 +66,7 @@ fn at(case: &Case, f: &mut Findings) {
     f.residual("angle between the lines, rad", axial::folded(&flow, &d), 1e-9);
     f.residual("squared sine of the angle", axial::smooth(&flow, &d), 1e-18);
     if a.z > 0.0 {
-        f.gap("printed angle for t'_z > 0, rad", axial::printed(&flow, &d), 3.14);
+        f.gap("printed angle for t'_z > 0, rad", axial::printed(&flow, &d), 3.1);
     }
 }
 

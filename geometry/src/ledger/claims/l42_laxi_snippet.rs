@@ -16,11 +16,12 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Fails,
     condition: Some("the camera keeps its sense of motion along the optical axis"),
     formula: "t'_z of the previous and of the next frame have opposite signs: the mean of the two losses at the truth is pi/2",
-    derivation: "If the motion M repeats, the next source is M and the previous one M^-1, whose translation in its target frame is -t = -R t': \
-                 the third component keeps its size up to the rotation and changes its sign. By L41 one of the two angles is pi, the other 0.",
+    derivation: "If the motion M repeats, the next source is M and the previous one M^-1, whose translation in its target \
+                 frame is -t = -R t': the third component keeps its size up to the rotation and changes its sign. By L41 one \
+                 of the two angles is pi, the other 0.",
     counter_example: Some(
-        "drive_next and drive_prev: (0 + pi) / 2 = 1.5708 rad at the truth. On KITTI 00-10 all 22952 triplets that move (0.05 m at least) have \
-         t'_z > 0 for the previous and t'_z < 0 for the next frame.",
+        "drive_next and drive_prev: (0 + pi) / 2 = 1.5708 rad at the truth. On KITTI 00-10 all 22952 triplets that move (0.05 \
+         m at least) have t'_z > 0 for the previous and t'_z < 0 for the next frame.",
     ),
     correction: Some("The sign-aware or the unsigned angle: 0 for both sources."),
     functions: &["loss_forms::axial::printed", "loss_forms::axial::pose_sign", "aligned_scene::AlignedScene::with_error"],
@@ -65,7 +66,7 @@ fn at(references: &[Reference; 2], f: &mut Findings) {
     let mean = (next[0] + previous[0]) / 2.0;
     f.residual("printed mean over the two sources - pi/2, rad", mean - std::f64::consts::FRAC_PI_2, 1e-9);
     f.gap("printed mean over the two sources, rad", mean, 1.57);
-    f.gap("the worse of the two sources, printed, rad", next[0].max(previous[0]), 3.14);
+    f.gap("the worse of the two sources, printed, rad", next[0].max(previous[0]), 3.1);
     f.residual("sign-aware mean over the two sources, rad", (next[1] + previous[1]) / 2.0, 1e-9);
 }
 
@@ -74,7 +75,11 @@ fn signs(case: &Case, f: &mut Findings) {
     let next = case.motion;
     let (a, b) = (next.translation_in_from_frame(), next.inverse().translation_in_from_frame());
     let turned = crate::so3::angle(&next.rotation);
-    f.residual("translation of the inverse in its target frame + t, relative to |t|", (b + next.translation).norm() / next.translation.norm().max(1e-300), 1e-12);
+    f.residual(
+        "translation of the inverse in its target frame + t, relative to |t|",
+        (b + next.translation).norm() / next.translation.norm().max(1e-300),
+        1e-12,
+    );
     if a.z.abs() > turned * a.norm() {
         f.residual("sign of t'_z of the next + of the previous source", a.z.signum() + b.z.signum(), 0.0);
     }

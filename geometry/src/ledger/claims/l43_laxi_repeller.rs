@@ -15,13 +15,15 @@ pub(super) static CLAIM: Claim = Claim {
     statement: "Descent on the printed L_axi leads to the true motion.",
     verdict: Verdict::Fails,
     condition: Some("t'_z < 0"),
-    formula: "t'_z > 0: L = pi - |error| E[|J|] near the truth, its maximum, with a cusp; L -> pi/2 for an infinite tangential error",
-    derivation: "With an error e of t'_tan the axial flow is -(t'_z d + f o e) / z': the angle to d depends on neither depth nor rotation, and turns monotonically from \
-                 0 or pi toward the angle between d and -f o e. On pixels symmetric about p0 a pixel and its mirror image \
-                 swap the roles of the two sources, so that equal errors cancel in the sum of the two.",
+    formula: "t'_z > 0: L = pi - |error| E[|J|] near the truth, its maximum, with a cusp; L -> pi/2 for an infinite tangential \
+              error",
+    derivation: "With an error e of t'_tan the axial flow is -(t'_z d + f o e) / z': the angle to d depends on neither depth \
+                 nor rotation, and turns monotonically from 0 or pi toward the angle between d and -f o e. On pixels symmetric \
+                 about p0 a pixel and its mirror image swap the roles of the two sources, so that equal errors cancel in the \
+                 sum of the two.",
     counter_example: Some(
-        "drive_prev, error of t'_x: 0 m 3.14159 rad, 0.01 m 3.12114, 0.1 m 2.93530, 0.5 m 2.13451, 2 m 1.62461, 100 m 1.57183: descent \
-         drives the error to infinity. drive_next rises by the same amounts: their sum is pi throughout.",
+        "drive_prev, error of t'_x: 0 m 3.14159 rad, 0.01 m 3.12114, 0.1 m 2.93530, 0.5 m 2.13451, 2 m 1.62461, 100 m 1.57183: \
+         descent drives the error to infinity. drive_next rises by the same amounts: their sum is pi throughout.",
     ),
     correction: Some("The sign-aware angle rises with the error for both sources."),
     functions: &["loss_forms::axial::printed", "loss_forms::axial::pose_sign", "sensitivity::axial_response"],
@@ -29,8 +31,14 @@ pub(super) static CLAIM: Claim = Claim {
 };
 
 /// Error of `t'_x` in metres, printed loss of drive_prev.
-const SWEEP: [(f64, f64); 6] =
-    [(0.0, 3.14159265359), (0.01, 3.12113625973), (0.1, 2.93530112755), (0.5, 2.13450694765), (2.0, 1.62461241844), (100.0, 1.57183082522)];
+const SWEEP: [(f64, f64); 6] = [
+    (0.0, std::f64::consts::PI),
+    (0.01, 3.12113625973),
+    (0.1, 2.93530112755),
+    (0.5, 2.13450694765),
+    (2.0, 1.62461241844),
+    (100.0, 1.57183082522),
+];
 
 fn check(trial: &mut Trial) {
     sweep(&mut trial.findings);
@@ -70,7 +78,8 @@ fn sweep(f: &mut Findings) {
 fn cusp(f: &mut Findings) {
     let (reference, step) = (scenes::drive_prev(), 1e-5);
     let (scene, a) = (&reference.scene, reference.motion.translation_in_from_frame());
-    let responses: Vec<_> = scene.pixels.iter().zip(&scene.depths).map(|(p, &z)| axial_response(&scene.camera, &a, p, z)).collect();
+    let responses: Vec<_> =
+        scene.pixels.iter().zip(&scene.depths).map(|(p, &z)| axial_response(&scene.camera, &a, p, z)).collect();
     let expected = mean_magnitude(&responses);
     for (k, slope) in [expected[3], expected[4]].into_iter().enumerate() {
         let side = |sign: f64| losses(&reference, Vector3::ith(k, sign * step)).unwrap_or(NONE);
@@ -104,10 +113,22 @@ fn at(drawn: &Descent, f: &mut Findings) {
     let at = |size: f64| losses(&drawn.reference, Vector3::new(drawn.direction.x, drawn.direction.y, 0.0) * size).unwrap_or(NONE);
     let values = [at(0.0), at(drawn.sizes[0]), at(drawn.sizes[1])];
     for pair in values.windows(2) {
-        f.residual("printed: rises of the loss when the error of a backward source grows", f64::from(u8::from(pair[1][0] >= pair[0][0])), 0.0);
-        f.residual("sign-aware: falls of the loss when the error of a backward source grows", f64::from(u8::from(pair[1][1] <= pair[0][1])), 0.0);
+        f.residual(
+            "printed: rises of the loss when the error of a backward source grows",
+            f64::from(u8::from(pair[1][0] >= pair[0][0])),
+            0.0,
+        );
+        f.residual(
+            "sign-aware: falls of the loss when the error of a backward source grows",
+            f64::from(u8::from(pair[1][1] <= pair[0][1])),
+            0.0,
+        );
     }
-    f.residual("printed + sign-aware loss of a backward source - pi, rad", values[2][0] + values[2][1] - std::f64::consts::PI, 1e-9);
+    f.residual(
+        "printed + sign-aware loss of a backward source - pi, rad",
+        values[2][0] + values[2][1] - std::f64::consts::PI,
+        1e-9,
+    );
 }
 
 #[cfg(test)]

@@ -17,17 +17,20 @@ pub(super) static CLAIM: Claim = Claim {
     id: "L46",
     slug: "independence",
     place: "text after eq. la",
-    statement: "L_pla uses the radial translation only and L_axi the tangential one only, so that both are optimised independently.",
+    statement: "L_pla uses the radial translation only and L_axi the tangential one only, so that both are optimised \
+                independently.",
     verdict: Verdict::Conditional,
     condition: Some(
-        "the translation t' in the target frame is the parameter, and the angle forms are used; both losses still share rotation and source depth",
+        "the translation t' in the target frame is the parameter, and the angle forms are used; both losses still share \
+         rotation and source depth",
     ),
     formula: "dL_pla/dt'_x = dL_pla/dt'_y = 0, dL_axi/dt'_z = 0; with t = R t' as the parameter dL_pla/dt = R e_3 dL_pla/dt'_z",
-    derivation: "The planar alignment removes (0, 0, t'_z) and looks at nothing else of t', the axial one (t'_x, t'_y, 0). With t' = R^T t every component of t \
-                 reaches t'_z: dt'_z/dt = R e_3, whose first two components are of the size of the rotation angle.",
+    derivation: "The planar alignment removes (0, 0, t'_z) and looks at nothing else of t', the axial one (t'_x, t'_y, 0). \
+                 With t' = R^T t every component of t reaches t'_z: dt'_z/dt = R e_3, whose first two components are of the \
+                 size of the rotation angle.",
     counter_example: Some(
-        "handheld, with t as the parameter: t_x and t_y get 0.0583 of the radial gradient of L_pla. The form of L_pla that measures the distance from the predicted direction \
-         depends on t'_x, t'_y by design.",
+        "handheld, with t as the parameter: t_x and t_y get 0.0583 of the radial gradient of L_pla. The form of L_pla that \
+         measures the distance from the predicted direction depends on t'_x, t'_y by design.",
     ),
     correction: Some("Let the network predict t', or cut the gradient that passes R^T t to the other part."),
     functions: &[
@@ -52,9 +55,14 @@ fn check(trial: &mut Trial) {
     let tilt = estimate.rotation.column(2).xy().norm();
     trial.findings.documented("handheld: share of t_x, t_y in the radial gradient, documented", tilt, 0.0583, 1e-3);
     trial.findings.gap("handheld: gradient along t_x, t_y over the radial one, t as parameter", share, 0.052);
-    let pixel_form = taped_gradient(&estimate, Convention::AsPrinted, |pair| planar_form(pair, PlanarForm::PerpendicularPixels)).0;
+    let pixel_form =
+        taped_gradient(&estimate, Convention::AsPrinted, |pair| planar_form(pair, PlanarForm::PerpendicularPixels)).0;
     let size = Vector3::new(pixel_form[3], pixel_form[4], pixel_form[5]).norm();
-    trial.findings.gap("pixel form of L_pla: share of t'_x, t'_y in the gradient", pixel_form[3].hypot(pixel_form[4]) / size, 0.1);
+    trial.findings.gap(
+        "pixel form of L_pla: share of t'_x, t'_y in the gradient",
+        pixel_form[3].hypot(pixel_form[4]) / size,
+        0.1,
+    );
 }
 
 /// Every fourth pixel of every fourth row of a reference, and an estimate of its motion that is somewhat off.
@@ -74,7 +82,8 @@ impl Estimate {
         let (grid, step) = (reference.scene.grid_camera(), Self::STEP);
         let [width, height] = [grid.width.div_ceil(step), grid.height.div_ceil(step)];
         let scale = step as f64;
-        let camera = Intrinsics { fu: grid.fu / scale, fv: grid.fv / scale, u0: grid.u0 / scale, v0: grid.v0 / scale, width, height };
+        let camera =
+            Intrinsics { fu: grid.fu / scale, fv: grid.fv / scale, u0: grid.u0 / scale, v0: grid.v0 / scale, width, height };
         let exact = reference.scene.matches(&reference.motion);
         let pixel = |i: usize| {
             let (column, row) = (i % width, i / width);
@@ -99,9 +108,16 @@ impl Estimate {
 type Align = fn(&Intrinsics, &Matrix3<f64>, &Vector3<f64>, &Match) -> Option<alignment::Aligned>;
 type Jacobian = fn(&Intrinsics, &Matrix3<f64>, &Vector3<f64>, &Match) -> AlignmentJacobian;
 
-/// Gradient with respect to `eps` in `R exp(eps)` and to `a`: gradients of the loss with respect to the flows times those of the flows.
-fn closed(e: &Estimate, align: Align, jacobian: Jacobian, gradient: impl Fn(&[Vector2<f64>]) -> Vec<Vector2<f64>>) -> Option<[f64; 6]> {
-    let flows: Vec<_> = e.matches.iter().map(|m| align(&e.camera, &e.rotation, &e.a, m).map(|x| x.flow)).collect::<Option<_>>()?;
+/// Gradient with respect to `eps` in `R exp(eps)` and to `a`: that of the loss with respect to the flows times the derivatives of
+/// the flows.
+fn closed(
+    e: &Estimate,
+    align: Align,
+    jacobian: Jacobian,
+    gradient: impl Fn(&[Vector2<f64>]) -> Vec<Vector2<f64>>,
+) -> Option<[f64; 6]> {
+    let flows: Vec<_> =
+        e.matches.iter().map(|m| align(&e.camera, &e.rotation, &e.a, m).map(|x| x.flow)).collect::<Option<_>>()?;
     let mut total = [0.0; 6];
     for (g, m) in gradient(&flows).iter().zip(&e.matches) {
         let j = jacobian(&e.camera, &e.rotation, &e.a, m);
@@ -146,7 +162,8 @@ fn axial_smooth<'t>(pair: &AlignedPair<'t, f64>) -> Var<'t, f64> {
 }
 
 /// Gradients on the tape. `AsPrinted` aligns with the leaf itself, which is then `t'`: the result is that of `eps` and `t'`.
-/// `Consistent` takes the leaf for `t` and aligns with `R^T t`. Second: the gradient that arrives at the translation the alignment removes.
+/// `Consistent` takes the leaf for `t` and aligns with `R^T t`. Second: the gradient that arrives at the translation the
+/// alignment removes.
 fn taped_gradient(
     e: &Estimate,
     convention: Convention,
@@ -220,7 +237,11 @@ fn blocks(e: &Estimate, f: &mut Findings) {
         for form in AXIAL {
             let (_, a) = taped_gradient(e, convention, |pair| axial_form(pair, form));
             f.residual("tape: dL_axi/dt'_z", a[2].abs(), 0.0);
-            f.residual("tape: forms of L_axi without any gradient along t'_x, t'_y", f64::from(u8::from(a[0] == 0.0 || a[1] == 0.0)), 0.0);
+            f.residual(
+                "tape: forms of L_axi without any gradient along t'_x, t'_y",
+                f64::from(u8::from(a[0] == 0.0 || a[1] == 0.0)),
+                0.0,
+            );
         }
     }
 }

@@ -15,13 +15,14 @@ pub(super) static CLAIM: Claim = Claim {
     id: "L48",
     slug: "axi-confusion",
     place: "derived from eq. la",
-    statement: "To first order L_axi cannot tell a yaw error eps from an error z' eps of t'_x, nor a pitch error eps from an error -z' eps of t'_y, where the aligned \
-                source depth z' is constant.",
+    statement: "To first order L_axi cannot tell a yaw error eps from an error z' eps of t'_x, nor a pitch error eps from an \
+                error -z' eps of t'_y, where the aligned source depth z' is constant.",
     verdict: Verdict::Exact,
     condition: Some("first order in the error; over an image: constant z' = z + t'_z. Roll is not confused"),
     formula: "J_wy = z' J_tx,  J_wx = -z' J_ty at every pixel, for any f_u, f_v and any t'",
-    derivation: "A yaw moves the unrotated point Q by (-z', 0, Q_x) eps and the flow by -f_u eps along u plus a multiple of d: the quadratic part of a rotational flow \
-                 points along the radius, which a direction does not see. A step of t'_x moves it by -f_u / z' along u.",
+    derivation: "A yaw moves the unrotated point Q by (-z', 0, Q_x) eps and the flow by -f_u eps along u plus a multiple of d: \
+                 the quadratic part of a rotational flow points along the radius, which a direction does not see. A step of \
+                 t'_x moves it by -f_u / z' along u.",
     counter_example: None,
     correction: None,
     functions: &["sensitivity::axial_response", "observability::correlation"],
@@ -37,7 +38,11 @@ fn check(trial: &mut Trial) {
     f.documented("correlation of yaw and t'_x, handheld, documented", correlated(&handheld, 1, 3), 0.9756, 1e-4);
     f.documented("correlation of yaw and t'_x, handheld before a wall, documented", correlated(&wall, 1, 3), 1.0, 1e-12);
     for k in 0..2 {
-        f.residual("loss with a rotation and the translation it looks like before a wall, relative to either", cancelled(&wall, k, 1e-6), 1e-3);
+        f.residual(
+            "loss with a rotation and the translation it looks like before a wall, relative to either",
+            cancelled(&wall, k, 1e-6),
+            1e-3,
+        );
     }
     f.gap("the same in the room, relative to either", cancelled(&handheld, 1, 1e-6), 0.21);
     f.gap("the same before the wall for 0.05 rad: not first order, relative to either", cancelled(&wall, 1, 0.05), 0.19);
@@ -109,7 +114,11 @@ mod tests {
         }
 
         #[test]
-        fn before_any_wall_a_rotation_hides_behind_a_translation(depth in 2.0f64..20.0, k in 0usize..2, t in prop::array::uniform3(-0.2f64..0.2)) {
+        fn before_any_wall_a_rotation_hides_behind_a_translation(
+            depth in 2.0f64..20.0,
+            k in 0usize..2,
+            t in prop::array::uniform3(-0.2f64..0.2),
+        ) {
             prop_assume!(t[2].abs() > 0.02);
             let motion = scenes::motion([0.01, -0.02, 0.015], t);
             let reference = Reference { name: "wall", scene: scenes::room().at_depth(depth), motion };

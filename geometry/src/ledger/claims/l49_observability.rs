@@ -18,12 +18,14 @@ pub(super) static CLAIM: Claim = Claim {
     statement: "L_pla and L_axi constrain the rotation jointly and complement each other.",
     verdict: Verdict::Conditional,
     condition: Some("depth varies over the image"),
-    formula: "G_axi = E[w^2 J J^T], G_pla = E[w^2 J J^T] - E[w^2 J] E[w^2 J]^T / E[w^2], w = |f|; translation marginalised: G_ww - G_wa G_aa^+ G_aw",
-    derivation: "With constant depth J_wy = z' J_tx and J_wx = -z' J_ty (L48): two rotations look exactly like translations to L_axi. With varied depth no translation \
-                 imitates a rotation at every pixel. Information adds: the sum sees at least what each loss sees.",
+    formula: "G_axi = E[w^2 J J^T], G_pla = E[w^2 J J^T] - E[w^2 J] E[w^2 J]^T / E[w^2], w = |f|; translation marginalised: \
+              G_ww - G_wa G_aa^+ G_aw",
+    derivation: "With constant depth J_wy = z' J_tx and J_wx = -z' J_ty (L48): two rotations look exactly like translations to \
+                 L_axi. With varied depth no translation imitates a rotation at every pixel. Information adds: the sum sees at \
+                 least what each loss sees.",
     counter_example: Some(
-        "handheld before a wall at 3 m: roots of the eigenvalues of L_axi alone 0, 0, 175 px per rad; L_pla 16.7, 39.4, 114; both 16.7, 39.4, 209. In the room: L_axi 50.7, 74.8, \
-         178, L_pla 25.3, 88.9, 131, both 58.4, 123, 216.",
+        "handheld before a wall at 3 m: roots of the eigenvalues of L_axi alone 0, 0, 175 px per rad; L_pla 16.7, 39.4, 114; \
+         both 16.7, 39.4, 209. In the room: L_axi 50.7, 74.8, 178, L_pla 25.3, 88.9, 131, both 58.4, 123, 216.",
     ),
     correction: None,
     functions: &[
@@ -119,10 +121,18 @@ fn weighted(reference: &Reference, plane: Plane) -> Information {
 fn at(reference: &Reference, f: &mut Findings) {
     let [planar, axial] = [Plane::Planar, Plane::Axial].map(|plane| weighted(reference, plane));
     let [alone_pla, alone_axi, both] = [planar, axial, planar + axial].map(|g| rotation_visibility(&g));
-    f.residual("rotations that both losses together are blind to", both.iter().filter(|&&x| x < 1e-3 * both[2]).count() as f64, 0.0);
+    f.residual(
+        "rotations that both losses together are blind to",
+        both.iter().filter(|&&x| x < 1e-3 * both[2]).count() as f64,
+        0.0,
+    );
     for k in 0..3 {
         let alone = alone_pla[k].max(alone_axi[k]);
-        f.residual("visibility that one loss has and both together have not, relative", (alone - both[k]).max(0.0) / both[2], 1e-6);
+        f.residual(
+            "visibility that one loss has and both together have not, relative",
+            (alone - both[k]).max(0.0) / both[2],
+            1e-6,
+        );
     }
 }
 

@@ -22,13 +22,18 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::FirstOrder,
     condition: Some("dp short against r, and no rotation: a rotation w adds terms of the relative size |w| z' / |t'_z|"),
     formula: "E[|dp x d| / r^2]; shifting the centre together with all pixels changes no loss",
-    derivation: "Without rotation the wrong centre cancels in the axial flow, source and target ray being off alike; the radius it is compared with starts dp off and \
-                 turns by dp x d / r^2. With a rotation the two rays no longer cancel.",
+    derivation: "Without rotation the wrong centre cancels in the axial flow, source and target ray being off alike; the \
+                 radius it is compared with starts dp off and turns by dp x d / r^2. With a rotation the two rays no longer \
+                 cancel.",
     counter_example: Some(
-        "Road, drive_next: (-0.5, -0.5) px cost 0.00394 rad, the formula says 0.00399: its limit for small dp misses by about a percent, for the rotation of 0.24 deg. \
-         (-5.9, -7.5) px, a calibrated KITTI centre against the middle of the image, cost 0.0566 rad.",
+        "Road, drive_next: (-0.5, -0.5) px cost 0.00394 rad, the formula says 0.00399: its limit for small dp misses by about \
+         a percent, for the rotation of 0.24 deg. (-5.9, -7.5) px, a calibrated KITTI centre against the middle of the image, \
+         cost 0.0566 rad.",
     ),
-    correction: Some("The response with the rotation in it (`principal_point_response`). Use the calibrated centre, and W - 1 - u0 after a horizontal flip."),
+    correction: Some(
+        "The response with the rotation in it (`principal_point_response`). Use the calibrated centre, and W - 1 - u0 after a \
+         horizontal flip.",
+    ),
     functions: &[
         "sensitivity::principal_point_angle",
         "sensitivity::principal_point_response",
