@@ -8,6 +8,8 @@ use serde::Serialize;
 pub enum Kind {
     /// The largest must be at most the bound.
     Residual,
+    /// A deviation from a number written down, in units of the precision it is known to: the largest must be at most 1.
+    Documented,
     /// The largest must be at least the bound: one counter-example is enough.
     Gap,
 }
@@ -32,7 +34,7 @@ impl Finding {
     #[must_use]
     pub fn ok(&self) -> bool {
         match self.kind {
-            Kind::Residual => self.worst <= self.bound,
+            Kind::Residual | Kind::Documented => self.worst <= self.bound,
             Kind::Gap => self.worst >= self.bound,
         }
     }
@@ -131,7 +133,7 @@ impl Findings {
     /// A number documented with `digits` decimals or relative precision: `|a - b| <= 1e-9 + relative |b|`, counted in units of
     /// that bound.
     pub fn documented(&mut self, what: &str, a: f64, b: f64, relative: f64) {
-        self.residual(what, (a - b) / (1e-9 + relative * b.abs()), 1.0);
+        self.add(Kind::Documented, what, ((a - b) / (1e-9 + relative * b.abs())).abs(), 1.0);
     }
 
     /// How far a statement is from true: the largest over all samples must reach `at_least`.
@@ -180,7 +182,7 @@ impl Findings {
     /// [`Outcome::ok`](super::Outcome).
     #[must_use]
     pub fn violations(&self) -> Vec<String> {
-        let residuals = self.findings.iter().filter(|f| f.kind == Kind::Residual && !f.ok());
+        let residuals = self.findings.iter().filter(|f| f.kind != Kind::Gap && !f.ok());
         let residuals = residuals.map(|f| format!("{}: {:.3e}, tolerance {:.1e}", f.what, f.worst, f.bound));
         let derivatives = self.agreements.iter().filter(|a| !a.ok());
         let derivatives = derivatives
@@ -203,6 +205,16 @@ mod tests {
         assert_eq!(f.findings().len(), 2);
         assert_eq!((f.findings()[0].worst, f.findings()[0].count), (0.5, 2));
         assert!(f.findings().iter().all(Finding::ok) && f.violations().is_empty());
+    }
+
+    #[test]
+    fn documented_numbers_are_counted_in_units_of_their_precision() {
+        let mut f = Findings::default();
+        f.documented("a number", 2.5001, 2.5, 1e-4);
+        let found = &f.findings()[0];
+        assert_eq!((found.kind, found.bound, found.ok()), (Kind::Documented, 1.0, true));
+        f.documented("a number", 2.5003, 2.5, 1e-4);
+        assert!(!f.findings()[0].ok() && f.violations().len() == 1);
     }
 
     #[test]
