@@ -14,6 +14,7 @@ use crate::pretrain::TargetError;
 use crate::report::ReportError;
 use crate::run::RunError;
 use crate::run::first_weights::FirstWeightsError;
+use crate::run::verify::UnknownClaim;
 
 /// How the process ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,6 +79,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
         cause.is::<ConfigError>()
             || cause.is::<RunError>()
             || cause.is::<UsageError>()
+            || cause.is::<UnknownClaim>()
             || cause.is::<TargetError>()
             || cause.downcast_ref().is_some_and(is_usage_of_data)
             || matches!(cause.downcast_ref(), Some(EvalError::Option { .. }))
@@ -115,6 +117,7 @@ fn has_advice(cause: &(dyn std::error::Error + 'static)) -> bool {
         || cause.is::<RunError>()
         || cause.is::<FirstWeightsError>()
         || cause.is::<UsageError>()
+        || cause.is::<UnknownClaim>()
         || cause.is::<TargetError>()
         || cause.is::<EvalError>()
         || cause.is::<ReportError>()

@@ -12,6 +12,7 @@ mod pretrain_flow;
 mod pretrain_pose;
 mod synth;
 mod train;
+mod verify;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -25,7 +26,8 @@ Learns depth and camera motion from plain video, and shows what it learned.
 
 Three networks (depth, motion, optical flow) are trained together on snippets of three frames, without any ground truth: \
 a frame must look like its neighbour seen through the predicted depth and motion, and the flow between them must agree with \
-both. Frames come from an embedded, procedural world, or from a folder of your own.";
+both. Frames come from an embedded, procedural world, or from a folder of your own. The equations behind it are checked one by \
+one.";
 
 const EXAMPLES: &str = "\
 Examples:
@@ -35,6 +37,7 @@ Examples:
   dimode eval depth --run runs/train-street-s1
   dimode infer --run runs/train-street-s1 --data DIR --out predictions
   dimode synth --preset handheld --worlds 2 --out worlds
+  dimode verify                             every equation of the paper, with a verdict
 
 Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 130 interrupted (train saves first).
 All text about the work goes to standard error, results to standard output.";
@@ -68,6 +71,7 @@ enum Command {
     /// Train a network on its own before the joint training
     #[command(subcommand)]
     Pretrain(Pretrain),
+    Verify(verify::VerifyArgs),
 }
 
 #[derive(Debug, Subcommand)]
@@ -114,6 +118,7 @@ fn dispatch(command: Command, typed: &str) -> anyhow::Result<Exit> {
         Command::Synth(args) => args.run(),
         Command::Pretrain(Pretrain::Flow(args)) => args.run(),
         Command::Pretrain(Pretrain::Pose(args)) => args.run(),
+        Command::Verify(args) => args.run(),
     }
 }
 

@@ -1,14 +1,18 @@
 //! What a run leaves behind to be looked at: one page that opens offline, and result files.
 //!
 //! [`ReportInput`] is plain data; [`write_report`] turns it into one HTML file with its style, charts (SVG) and pictures
-//! (PNG) inside, without any reference to something outside. [`files`] writes results for other programs.
+//! (PNG) inside, without any reference to something outside. [`files`] writes results for other programs. [`ledger`] and
+//! [`figures`] tell what `dimode verify` found, in words and in pictures.
 
 mod base64;
 pub mod colour;
 mod curves;
+pub mod drawing;
 mod error;
+pub mod figures;
 pub mod files;
 mod html;
+pub mod ledger;
 pub mod picture;
 pub mod scale;
 pub mod svg;

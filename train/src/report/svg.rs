@@ -99,12 +99,18 @@ impl Chart {
 
     /// SVG text, one element, without any reference to something outside.
     pub fn to_svg(&self) -> String {
-        let frame = Frame::of(self);
         let (w, h) = self.size;
-        let mut out = format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w} {h}\" role=\"img\" class=\"chart\"><title>{}</title>",
-            escape(&self.title)
-        );
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w} {h}\" role=\"img\" class=\"chart\"><title>{}</title>{}</svg>",
+            escape(&self.title),
+            self.content()
+        )
+    }
+
+    /// What [`Chart::to_svg`] draws, for a place within a larger picture.
+    pub fn content(&self) -> String {
+        let frame = Frame::of(self);
+        let mut out = String::new();
         self.draw_marks(&frame, &mut out);
         self.draw_axes(&frame, &mut out);
         for series in &self.series {
@@ -122,7 +128,6 @@ impl Chart {
                 escape(name)
             );
         }
-        out.push_str("</svg>");
         out
     }
 

@@ -11,6 +11,7 @@ pub mod infer;
 pub mod synth;
 pub mod train;
 pub mod trained;
+pub mod verify;
 
 use std::path::{Path, PathBuf};
 

@@ -6,7 +6,8 @@ use crate::{command, dimode};
 #[test]
 fn the_top_teaches_the_commands_and_exit_codes() {
     let help = dimode(&["--help"]).succeeded();
-    for word in ["train", "eval", "infer", "synth", "pretrain", "Examples:", "dimode train --quick", "130 interrupted"] {
+    for word in ["train", "eval", "infer", "synth", "pretrain", "verify", "Examples:", "dimode train --quick", "130 interrupted"]
+    {
         assert!(help.contains(word), "'{word}' is not in: {help}");
     }
     assert!(dimode(&["--version"]).succeeded().starts_with("dimode "));
@@ -22,6 +23,7 @@ fn every_command_has_examples() {
         &["synth"],
         &["pretrain", "flow"],
         &["pretrain", "pose"],
+        &["verify"],
     ] {
         let help = dimode(&[words, &["--help"]].concat()).succeeded();
         assert!(help.contains("Examples:\n"), "{words:?}: {help}");
@@ -45,6 +47,7 @@ fn long_help_explains_the_command() {
         (&["synth"], "The folder can be given to 'dimode train --data'."),
         (&["pretrain", "flow"], "Every step renders new worlds, so no pair is seen twice."),
         (&["pretrain", "pose"], "No true depth or motion of a world is used"),
+        (&["verify"], "The code is 1 when a verdict does not stand."),
     ] {
         let by_flag = words(&dimode(&[command, &["--help"]].concat()).succeeded());
         assert!(by_flag.contains(sentence), "{command:?}: {by_flag}");

@@ -7,6 +7,7 @@ mod pretrain;
 mod settings;
 mod synth;
 mod training;
+mod verify;
 
 use std::fs;
 use std::path::Path;

@@ -1,0 +1,228 @@
+//! `docs/verification.md`: the ledger as a document. It holds nothing that was measured, so every machine makes the same text.
+
+use std::fmt::Write;
+
+use dimode_geometry::ledger::{Agreement, Claim};
+
+use super::words::{brief, shortened};
+use super::{Judged, Verification, check_file, function_file, table};
+
+const INTRODUCTION: &str = "\
+# Verification
+
+<!-- Made by `dimode verify --markdown`; write into the claims (geometry/src/ledger/claims/), not here. -->
+
+Every equation and every mathematical claim of the paper's method sections, with a verdict that a check must uphold:
+
+```sh
+cargo run --release -- verify                   # all claims: worst residual against tolerance; exit code 1 if a verdict falls
+cargo run --release -- verify --id L28          # one claim in full
+cargo run --release -- verify --json            # everything, for programs
+cargo run --release -- verify --plots pictures  # flow fields, decompositions, loss landscapes
+```
+
+- **exact**: an identity. **conditional**: true under the stated condition. **first order**: true up to terms of second order.
+  **fails**: not true as printed; a counter-example and what is true instead are given. **measured**: a number of real data, whose formula is
+  checked.
+- A check draws cameras, pixels, depths and motions from a seed, takes every fourth case to a limit (no rotation, no radial
+  translation, a pixel at the principal point), and compares. *At most*: residuals that must vanish up to rounding. *Documented*: numbers
+  known to many digits, whose precision is the bound 1. *At least*: how far a statement must be from true where it does not hold.
+  Should a printed form hold after all, its verdict falls.
+- Derivatives are found in up to four ways: closed form, forward mode (a second implementation that shares no code with the
+  first), the tape that training uses, and central differences. The first three agree to 1e-9 of the scale of the derivative, the last
+  to 1e-6.
+- Notation: `P_s = R P_t + t` carries target points to the source camera, `t' = R^T t` is the translation in the target's frame, `d = p - p0`
+  with `r = |d|`, `f o t = (f_u t_x, f_v t_y)`, `z` is the target depth, `[w]_x` the matrix of a cross product.
+
+This file is made from the ledger (`dimode verify --markdown`), and a test compares it with what the ledger says now.
+";
+
+/// The document for a verification with default settings.
+pub fn document(found: &Verification) -> String {
+    let mut text = INTRODUCTION.to_owned();
+    text += &index(found);
+    text += &equations(found);
+    text += "\n## The claims\n";
+    for judged in &found.judged {
+        text += &section(judged);
+    }
+    text
+}
+
+fn index(found: &Verification) -> String {
+    let verdicts: Vec<String> = found.verdicts().iter().map(|(v, count)| format!("{count} {}", v.word())).collect();
+    let mut text = format!("\n## Index\n\n{} claims: {}.\n\n", found.judged.len(), verdicts.join(", "));
+    text += "| | place | claim | verdict |\n|---|---|---|---|\n";
+    for Judged { claim, .. } in &found.judged {
+        let statement = plain(&shortened(claim.statement, 150));
+        let _ = writeln!(text, "| {} | {} | {statement} | {} |", link(claim), plain(claim.place), claim.verdict.word());
+    }
+    text
+}
+
+/// Where the equations of the paper are in the code: one row a label, in the order of the claims.
+fn equations(found: &Verification) -> String {
+    let mut rows: Vec<(&str, Vec<&Claim>)> = Vec::new();
+    for Judged { claim, .. } in &found.judged {
+        for label in labels(claim.place) {
+            match rows.iter_mut().find(|(known, _)| *known == label) {
+                Some((_, claims)) => claims.push(claim),
+                None => rows.push((label, vec![claim])),
+            }
+        }
+    }
+    let mut text =
+        "\n## Where is which equation\n\nLabels are those of the paper's source. Paths begin in the crate `dimode_geometry`.\n\n"
+            .to_owned();
+    text += "| equation | functions | claims |\n|---|---|---|\n";
+    for (label, claims) in rows {
+        let mut functions: Vec<&str> = Vec::new();
+        for function in claims.iter().flat_map(|c| c.functions) {
+            if !functions.contains(function) {
+                functions.push(function);
+            }
+        }
+        let functions: Vec<String> = functions.into_iter().map(function_link).collect();
+        let claims: Vec<String> = claims.into_iter().map(link).collect();
+        let _ = writeln!(text, "| `{label}` | {} | {} |", functions.join("<br>"), claims.join(", "));
+    }
+    text
+}
+
+/// Labels of equations in a place: what follows `eq.` or `eqs.`, with commas or `and` between them.
+fn labels(place: &str) -> Vec<&str> {
+    let mut found = Vec::new();
+    let mut listing = false;
+    for word in place.split_whitespace() {
+        let bare = word.trim_matches(|c: char| !c.is_alphanumeric());
+        if matches!(bare, "eq" | "eqs" | "Eq" | "Eqs") {
+            listing = true;
+        } else if listing && bare != "and" && !bare.is_empty() {
+            found.push(bare);
+            listing = word.ends_with(',');
+        }
+    }
+    found
+}
+
+fn link(claim: &Claim) -> String {
+    format!("[{}](#{}-{})", claim.id, claim.id.to_lowercase(), claim.slug)
+}
+
+fn function_link(path: &str) -> String {
+    format!("[`{path}`](../{})", function_file(path))
+}
+
+fn section(judged: &Judged) -> String {
+    let claim = &judged.claim;
+    let mut text = format!("\n### {} {}\n\n", claim.id, claim.slug);
+    let _ = writeln!(text, "*{}.* {}\n", plain(claim.place), plain(claim.statement));
+    let condition = claim.condition.map_or_else(String::new, |c| format!(" Condition: {}", plain(c)));
+    let _ = writeln!(text, "**{}.**{condition}\n\n```text\n{}\n```", capital(claim.verdict.word()), claim.formula);
+    let parts = [("Why", Some(claim.derivation)), ("Counter-example", claim.counter_example), ("Correction", claim.correction)];
+    for (name, content) in parts {
+        if let Some(content) = content.filter(|content| !content.is_empty()) {
+            let _ = writeln!(text, "\n{name}: {}", plain(content));
+        }
+    }
+    let functions: Vec<String> = claim.functions.iter().map(|f| function_link(f)).collect();
+    let check = check_file(claim);
+    let _ = writeln!(text, "\nFunctions: {}. Check and property tests: [{check}](../{check}).", functions.join(", "));
+    text + &compared(judged)
+}
+
+/// What is compared with which bounds, without what was found.
+fn compared(judged: &Judged) -> String {
+    let mut text = "\n| compared | | bound |\n|---|---|---|\n".to_owned();
+    for finding in &judged.outcome.findings {
+        let _ = writeln!(text, "| {} | {} | {} |", plain(&finding.what), table::asked(finding), brief(Some(finding.bound)));
+    }
+    for Agreement { what, forward, tape, central, .. } in &judged.outcome.derivatives {
+        let ways = [("forward mode", forward), ("tape", tape), ("central differences", central)];
+        let taken: Vec<&str> = ways.into_iter().filter(|(_, found)| found.is_some()).map(|(name, _)| name).collect();
+        let (same, central) = (brief(Some(Agreement::TOLERANCE)), brief(Some(Agreement::CENTRAL_TOLERANCE)));
+        let bound = match (forward.is_some() || tape.is_some(), central_taken(&taken)) {
+            (true, true) => format!("{same}, {central}"),
+            (true, false) => same,
+            _ => central,
+        };
+        let _ = writeln!(text, "| derivative {}: {} | at most | {bound} |", plain(what), taken.join(", "));
+    }
+    text
+}
+
+fn central_taken(taken: &[&str]) -> bool {
+    taken.contains(&"central differences")
+}
+
+fn capital(word: &str) -> String {
+    let mut letters = word.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// Text in which Markdown sees no marks.
+fn plain(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        if matches!(c, '\\' | '`' | '*' | '_' | '~' | '[' | ']' | '<' | '>' | '|' | '#') {
+            out.push('\\');
+        }
+        out.push(c);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::verification;
+    use super::*;
+
+    #[test]
+    fn labels_of_places() {
+        assert_eq!(labels("eq. grad_tz"), ["grad_tz"]);
+        assert_eq!(labels("text after eq. rotational_flow"), ["rotational_flow"]);
+        assert_eq!(
+            labels("eqs. radial_correspondence, radial_correspondence_2, radial_flow"),
+            ["radial_correspondence", "radial_correspondence_2", "radial_flow"]
+        );
+        assert_eq!(labels("eqs. lp and la; Sect. IV"), ["lp"]);
+        assert_eq!(labels("eqs. lp, and la (three frames)"), ["lp", "la"]);
+        assert!(labels("Sect. IV, derived").is_empty());
+    }
+
+    #[test]
+    fn the_document_tells_no_measured_number() {
+        let few = document(&verification(&["L09", "L15", "L20"]));
+        let mut other = verification(&["L09", "L15", "L20"]);
+        for judged in &mut other.judged {
+            judged.outcome = judged.claim.verify(&dimode_geometry::ledger::Settings { samples: 80, seed: 7 });
+        }
+        assert_eq!(few, document(&other));
+    }
+
+    #[test]
+    fn sections_link_to_their_files() {
+        let text = document(&verification(&["L09", "L20"]));
+        for part in [
+            "| [L09](#l09-rot-flow-inline) | text after eq. rotational\\_flow |",
+            "### L20 grad-tz",
+            "| `grad_tz` | [`flow::gradients::translational_gradients`](../geometry/src/flow/gradients.rs) | [L20](#l20-grad-tz) |",
+            "Correction: Both expansions need a minus in front.",
+            "| derivative df/dt\\_z: forward mode, tape, central differences | at most | 1e-9, 1e-6 |",
+            "| at least | 900 |",
+        ] {
+            assert!(text.contains(part), "'{part}' is not in {text}");
+        }
+    }
+
+    #[test]
+    fn the_document_in_the_tree_is_that_of_the_ledger() {
+        let found = crate::run::verify::all(&crate::progress::Silent);
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/verification.md");
+        let there = std::fs::read_to_string(file).unwrap_or_default();
+        assert!(
+            there == document(&found),
+            "docs/verification.md is not what the ledger says; make it again: cargo run --release -- verify --markdown > docs/verification.md"
+        );
+    }
+}
