@@ -137,7 +137,7 @@ mod tests {
     fn an_arrow_ends_at_its_tip_and_a_short_one_is_a_dot() {
         let mut sheet = Sheet::new("x", 10.0, 10.0);
         draw_arrow(&mut sheet, (1.0, 2.0), (30.0, 40.0), [0, 0, 0]);
-        assert!(sheet.to_svg().contains("L31.00 42.00L"), "{}", sheet.to_svg());
+        assert!(sheet.to_svg().contains("M31.00 42.00L"), "{}", sheet.to_svg());
         draw_arrow(&mut sheet, (1.0, 2.0), (0.1, 0.0), [0, 0, 0]);
         assert!(sheet.to_svg().contains("<circle cx=\"1.0\""));
     }

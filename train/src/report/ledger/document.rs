@@ -62,7 +62,7 @@ fn index(found: &Verification) -> String {
 
 /// Where the equations of the paper are in the code: one row a label, in the order of the claims.
 fn equations(found: &Verification) -> String {
-    let mut rows: Vec<(&str, Vec<&Claim>)> = Vec::new();
+    let mut rows: Vec<(String, Vec<&Claim>)> = Vec::new();
     for Judged { claim, .. } in &found.judged {
         for label in labels(claim.place) {
             match rows.iter_mut().find(|(known, _)| *known == label) {
@@ -89,18 +89,25 @@ fn equations(found: &Verification) -> String {
     text
 }
 
-/// Labels of equations in a place: what follows `eq.` or `eqs.`, with commas or `and` between them.
-fn labels(place: &str) -> Vec<&str> {
-    let mut found = Vec::new();
-    let mut listing = false;
-    for word in place.split_whitespace() {
-        let bare = word.trim_matches(|c: char| !c.is_alphanumeric());
-        if matches!(bare, "eq" | "eqs" | "Eq" | "Eqs") {
-            listing = true;
-        } else if listing && bare != "and" && !bare.is_empty() {
-            found.push(bare);
-            listing = word.ends_with(',');
+/// Labels of equations in a place: the word after `eq.` or `eqs.`, and those that a comma ties to it. `_2` behind a comma is
+/// the label before it with that ending.
+fn labels(place: &str) -> Vec<String> {
+    let words: Vec<&str> = place.split_whitespace().collect();
+    let mut found: Vec<String> = Vec::new();
+    // Whether a label may follow, and whether it is the first of its list.
+    let (mut listing, mut first) = (false, false);
+    for (i, word) in words.iter().enumerate() {
+        let bare = word.trim_end_matches(|c: char| !c.is_alphanumeric());
+        if ["eq.", "eqs."].contains(&word.to_lowercase().as_str()) {
+            (listing, first) = (true, true);
+            continue;
         }
+        let ends_here = i + 1 == words.len() || word.ends_with([',', ';', '.', ':']);
+        if listing && (first || ends_here) {
+            let ending = bare.strip_prefix('_').zip(found.last()).map(|(end, before)| format!("{before}_{end}"));
+            found.push(ending.unwrap_or_else(|| bare.to_owned()));
+        }
+        (listing, first) = (listing && word.ends_with(','), false);
     }
     found
 }
@@ -185,8 +192,10 @@ mod tests {
             labels("eqs. radial_correspondence, radial_correspondence_2, radial_flow"),
             ["radial_correspondence", "radial_correspondence_2", "radial_flow"]
         );
-        assert_eq!(labels("eqs. lp and la; Sect. IV"), ["lp"]);
-        assert_eq!(labels("eqs. lp, and la (three frames)"), ["lp", "la"]);
+        assert_eq!(labels("eqs. lt, lr, second and fourth terms"), ["lt", "lr"]);
+        assert_eq!(labels("eq. la with three frames"), ["la"]);
+        assert_eq!(labels("eqs. rotational_correspondence, _h"), ["rotational_correspondence", "rotational_correspondence_h"]);
+        assert_eq!(labels("fig. practical, eq. residual_rot; eqs. lp, la"), ["residual_rot", "lp", "la"]);
         assert!(labels("Sect. IV, derived").is_empty());
     }
 

@@ -22,7 +22,7 @@ const RE_EXPORTS: [(&str, &str); 10] = [
     ("taped::warp", "taped/warp"),
 ];
 
-/// File of a function of the geometry crate, from the root of the repository: `flow::radial::radial_flow` lies in
+/// File of a function or constant of the geometry crate, from the root of the repository: `flow::radial::radial_flow` lies in
 /// `geometry/src/flow/radial.rs`, `camera::Intrinsics::ray` in `geometry/src/camera.rs`.
 pub fn function_file(path: &str) -> String {
     if let Some((_, file)) = RE_EXPORTS.iter().find(|(name, _)| *name == path) {
@@ -37,7 +37,7 @@ pub fn function_file(path: &str) -> String {
 
 /// File of a claim: its statement, its check and its property tests.
 pub fn check_file(claim: &Claim) -> String {
-    format!("{ROOT}/ledger/claims/{}_{}.rs", claim.id.to_lowercase(), claim.slug.replace('-', "_"))
+    format!("{ROOT}/ledger/claims/{}_{}.rs", claim.id.to_lowercase(), claim.slug.to_lowercase().replace('-', "_"))
 }
 
 #[cfg(test)]
@@ -53,11 +53,12 @@ mod tests {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file)
     }
 
-    /// The part of a file from `impl Type` on, or all of it for a free function.
+    /// The part of a file from `impl Type` on, or all of it for a free function or constant.
     fn scope<'a>(text: &'a str, path: &str) -> Option<&'a str> {
-        let owner = path.split("::").find(|part| part.starts_with(|c: char| c.is_ascii_uppercase()));
+        let parts: Vec<&str> = path.split("::").collect();
+        let owner = parts[..parts.len() - 1].iter().find(|part| part.starts_with(|c: char| c.is_ascii_uppercase()));
         let Some(owner) = owner else { return Some(text) };
-        let begins = |line: &str| line.starts_with("impl") && line.contains(owner);
+        let begins = |line: &str| line.starts_with("impl") && line.contains(*owner);
         let at = text.lines().scan(0, |at, line| {
             let start = *at;
             *at += line.len() + 1;
@@ -72,6 +73,7 @@ mod tests {
         assert_eq!(function_file("camera::Intrinsics::ray"), "geometry/src/camera.rs");
         assert_eq!(function_file("taped::align"), "geometry/src/taped/alignment.rs");
         assert_eq!(function_file("ledger::forward::jacobian"), "geometry/src/ledger/forward/mod.rs");
+        assert_eq!(function_file("ledger::EXTRA"), "geometry/src/ledger/mod.rs");
         assert_eq!(check_file(ledger::find("L09").unwrap()), "geometry/src/ledger/claims/l09_rot_flow_inline.rs");
     }
 
@@ -86,7 +88,8 @@ mod tests {
                 let text =
                     text.unwrap_or_else(|_| panic!("{}: '{path}' should be in {file}; name the module it lies in", claim.id));
                 let name = path.rsplit("::").next().unwrap_or(path);
-                let declared = |scope: &str| [format!("fn {name}("), format!("fn {name}<")].iter().any(|d| scope.contains(d));
+                let forms = [format!("fn {name}("), format!("fn {name}<"), format!("const {name}:")];
+                let declared = |scope: &str| forms.iter().any(|form| scope.contains(form));
                 assert!(scope(&text, path).is_some_and(declared), "{}: no 'fn {name}' of '{path}' in {file}", claim.id);
             }
         }
