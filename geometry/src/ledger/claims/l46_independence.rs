@@ -206,8 +206,8 @@ fn derivatives(e: &Estimate, f: &mut Findings) {
     let axi = closed(e, alignment::axial, alignment::axial_jacobian, |flows| axial::gradients::smooth(flows, &offsets));
     let (Some(pla), Some(axi)) = (pla, axi) else { return f.residual("scene in front of the camera", f64::NAN, 1.0) };
     let dual = forward::jacobian([0.0; 6], |x: [Dual; 6]| forward_losses(e, x));
-    let steps = std::array::from_fn(|k| if k < 3 { 1e-7 } else { 1e-7 * e.a.norm() });
-    let central = forward::central([0.0; 6], steps, |x: [f64; 6]| forward_losses(e, x));
+    let steps = std::array::from_fn(|k| if k < 3 { 1e-6 } else { 1e-6 * e.a.norm() });
+    let central = forward::central_extrapolated([0.0; 6], steps, |x: [f64; 6]| forward_losses(e, x));
     let by_tape = [
         taped_gradient(e, Convention::AsPrinted, |pair| planar_form(pair, PlanarForm::Circular)).0,
         taped_gradient(e, Convention::AsPrinted, axial_smooth).0,

@@ -170,7 +170,7 @@ fn at(case: &Case, f: &mut Findings) {
     // The flow's part of the response and the radius' part, of the size 1 / r, may cancel.
     let scale = closed.amax().max(1.0 / d.norm());
     let forward = forward::jacobian([0.0; 2], |e| [angle(case, &m, e)]);
-    let central = forward::central([0.0; 2], [2e-5 / scale; 2], |e| [angle::<f64>(case, &m, e)]);
+    let central = forward::central_extrapolated([0.0; 2], [1e-4 / scale; 2], |e| [angle::<f64>(case, &m, e)]);
     f.derivative("d theta_axi / d centre", closed.as_slice(), Some(&forward), None, Some(&central), scale);
     if so3::angle(&case.motion.rotation) == 0.0 {
         let formula = Vector2::new(d.y, -d.x) / d.norm_squared();

@@ -147,7 +147,7 @@ fn add_polygon(path: &mut String, frame: &Frame, corners: impl Iterator<Item = (
 /// Where a straight line between two corners passes a level.
 fn crossing(a: Corner, b: Corner, level: f64) -> Option<(f64, f64)> {
     let share = (level - a.2) / (b.2 - a.2);
-    ((a.2 < level) != (b.2 < level) && share.is_finite()).then(|| (a.0 + share * (b.0 - a.0), a.1 + share * (b.1 - a.1)))
+    ((a.2 < level) != (b.2 < level) && share.is_finite()).then_some((a.0 + share * (b.0 - a.0), a.1 + share * (b.1 - a.1)))
 }
 
 /// An upright bar of the colours to the right of a frame, the levels beside it.

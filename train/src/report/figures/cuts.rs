@@ -15,12 +15,19 @@ over a relative error of t_z. Where the printed curve does not touch zero at zer
 /// Points of a line.
 const POINTS: i32 = 200;
 
-/// A motion with half the ranges of its charts: metres of `t_x`, share of `t_z`.
-const ROWS: [(&str, fn() -> Reference, [f64; 2]); 4] = [
-    ("Driving, source ahead", scenes::drive_next, [0.5, 0.2]),
-    ("Driving, source behind", scenes::drive_prev, [0.5, 0.2]),
-    ("Hand-held", scenes::handheld, [0.03, 0.3]),
-    ("Lateral", scenes::lateral, [0.004, 0.5]),
+/// A motion with half the ranges of its charts.
+struct Row {
+    name: &'static str,
+    reference: fn() -> Reference,
+    /// Metres of `t_x`; share of `t_z`.
+    ranges: [f64; 2],
+}
+
+const ROWS: [Row; 4] = [
+    Row { name: "Driving, source ahead", reference: scenes::drive_next, ranges: [0.5, 0.2] },
+    Row { name: "Driving, source behind", reference: scenes::drive_prev, ranges: [0.5, 0.2] },
+    Row { name: "Hand-held", reference: scenes::handheld, ranges: [0.03, 0.3] },
+    Row { name: "Lateral", reference: scenes::lateral, ranges: [0.004, 0.5] },
 ];
 
 fn line(landscape: &Landscape, range: f64) -> Vec<(f64, f64)> {
@@ -51,7 +58,7 @@ pub(super) fn figure() -> Figure {
         sheet.path(class, &format!("M{x} 46h30"));
         sheet.text((x + 38.0, 50.0), "note", Anchor::Start, name);
     }
-    for (i, (name, reference, ranges)) in ROWS.iter().enumerate() {
+    for (i, Row { name, reference, ranges }) in ROWS.iter().enumerate() {
         for (j, loss) in [Loss::Axial, Loss::Planar].into_iter().enumerate() {
             let (left, top) = (10.0 + 475.0 * j as f64, 90.0 + 265.0 * i as f64);
             sheet.text((left + 54.0, top), "title", Anchor::Start, name);

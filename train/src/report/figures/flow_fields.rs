@@ -23,6 +23,9 @@ why the parts are treated apart.";
 
 /// Distance between neighbouring arrows, pixels.
 const SPACING: f64 = 2.0 * scenes::STEP as f64;
+/// Lengths in distances between arrows: of rotations, whose arrows are almost equally long, and of the others, whose near ones are
+/// much longer than the far ones.
+const LENGTHS: [f64; 2] = [0.95, 1.5];
 
 /// One field with what it shows.
 pub(super) struct Field {
@@ -30,6 +33,8 @@ pub(super) struct Field {
     pub title: &'static str,
     /// The motion in numbers.
     pub motion: &'static str,
+    /// Whether it is a rotation alone.
+    rotation: bool,
     /// Flow at a part of the scene's pixels.
     pub arrows: Vec<Arrow>,
 }
@@ -48,7 +53,8 @@ fn field(
     flow: impl Fn(&Vector2<f64>, f64) -> Option<Vector2<f64>>,
 ) -> Field {
     let arrow = |(at, z): (Vector2<f64>, f64)| Some(Arrow { at, flow: flow(&at, z)? });
-    Field { title, motion, arrows: chosen(scene).filter_map(arrow).collect() }
+    let rotation = motion.starts_with("rotation");
+    Field { title, motion, rotation, arrows: chosen(scene).filter_map(arrow).collect() }
 }
 
 /// The seven fields, in the order of the figure.
@@ -98,7 +104,7 @@ pub(super) fn figure() -> Figure {
 
 /// One field with axes and keys.
 fn draw_panel(sheet: &mut Sheet, frame: &Frame, field: &Field, p0: Vector2<f64>) {
-    let times = magnification(field.arrows.iter(), 0.95 * SPACING);
+    let times = magnification(field.arrows.iter(), LENGTHS[usize::from(!field.rotation)] * SPACING);
     draw_field(sheet, frame, &field.arrows, times, colour_of_direction);
     sheet.cross(frame.at(p0.x, p0.y), 4.0);
     frame.draw_title(sheet, field.title, field.motion);

@@ -113,7 +113,7 @@ const AXIAL_ROWS: [Row; 4] = [
 const PLANAR_ROWS: [Row; 4] = [
     Row { name: "Driving, source ahead", reference: scenes::drive_next, ranges: [0.1, 0.05] },
     Row { name: "Driving, source behind", reference: scenes::drive_prev, ranges: [0.1, 0.05] },
-    Row { name: "Hand-held", reference: scenes::handheld, ranges: [1.0, 0.15] },
+    Row { name: "Hand-held", reference: scenes::handheld, ranges: [0.5, 0.15] },
     Row { name: "Lateral", reference: scenes::lateral, ranges: [0.5, 0.3] },
 ];
 

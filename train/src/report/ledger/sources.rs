@@ -30,7 +30,7 @@ pub fn function_file(path: &str) -> String {
     }
     let parts: Vec<&str> = path.split("::").collect();
     let is_type = |part: &&str| part.starts_with(|c: char| c.is_ascii_uppercase());
-    let modules = parts.iter().position(|part| is_type(part)).unwrap_or(parts.len().saturating_sub(1));
+    let modules = parts.iter().position(is_type).unwrap_or(parts.len().saturating_sub(1));
     let module = parts[..modules].join("/");
     if FOLDERS.contains(&module.as_str()) { format!("{ROOT}/{module}/mod.rs") } else { format!("{ROOT}/{module}.rs") }
 }
