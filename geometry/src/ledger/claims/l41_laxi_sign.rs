@@ -41,6 +41,9 @@ fn check(trial: &mut Trial) {
             axial::printed(&seen.axial, &seen.offsets) - expected,
             1e-9,
         );
+        if seen.a.z > 0.0 {
+            f.gap("printed angle for t'_z > 0, rad", axial::printed(&seen.axial, &seen.offsets), 3.1);
+        }
         f.residual("sign-aware loss of the references, rad", axial::pose_sign(&seen.axial, &seen.offsets, seen.a.z), 1e-9);
         f.residual("loss by the sign of the flows, rad", axial::flow_sign(&seen.axial, &seen.offsets), 1e-9);
         f.residual("loss between the lines, rad", axial::folded(&seen.axial, &seen.offsets), 1e-9);
