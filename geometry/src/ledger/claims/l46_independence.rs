@@ -4,6 +4,7 @@ use dimode_autodiff::proof::{Dual, Number};
 use dimode_autodiff::{Shape, Tape, Tensor, Var};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
+use crate::aligned_scene::AlignedScene;
 use crate::alignment::{self, AlignmentJacobian, Convention, Match};
 use crate::camera::Intrinsics;
 use crate::ledger::forward::{self, V2, direction};
@@ -200,13 +201,23 @@ fn at(e: &Estimate, f: &mut Findings) {
     f.residual("dL_pla/dt - R e_3 dL_pla/dt'_z, relative", misfit(e), 1e-12);
 }
 
+/// True when a pixel's aligned flow almost vanishes: less than a rotation of 1e-4 rad would undo. Its direction turns so fast
+/// that no step of a difference is short enough.
+fn undirected(e: &Estimate) -> bool {
+    let seen = AlignedScene::new(&e.camera, &e.rotation, &e.a, &e.matches);
+    seen.is_none_or(|s| s.planar.iter().chain(&s.axial).any(|f| f.norm() < 1e-4 * e.camera.fu))
+}
+
 fn derivatives(e: &Estimate, f: &mut Findings) {
+    if undirected(e) {
+        return;
+    }
     let offsets = e.offsets();
     let pla = closed(e, alignment::planar, alignment::planar_jacobian, planar::gradients::circular);
     let axi = closed(e, alignment::axial, alignment::axial_jacobian, |flows| axial::gradients::smooth(flows, &offsets));
     let (Some(pla), Some(axi)) = (pla, axi) else { return f.residual("scene in front of the camera", f64::NAN, 1.0) };
     let dual = forward::jacobian([0.0; 6], |x: [Dual; 6]| forward_losses(e, x));
-    let steps = std::array::from_fn(|k| if k < 3 { 1e-7 } else { 1e-7 * e.a.norm() });
+    let steps = std::array::from_fn(|k| if k < 3 { 2e-8 } else { 2e-8 * e.a.norm() });
     let central = forward::central([0.0; 6], steps, |x: [f64; 6]| forward_losses(e, x));
     let by_tape = [
         taped_gradient(e, Convention::AsPrinted, |pair| planar_form(pair, PlanarForm::Circular)).0,
