@@ -201,15 +201,17 @@ fn at(e: &Estimate, f: &mut Findings) {
     f.residual("dL_pla/dt - R e_3 dL_pla/dt'_z, relative", misfit(e), 1e-12);
 }
 
-/// True when a pixel's aligned flow almost vanishes: less than a rotation of 1e-4 rad would undo. Its direction turns so fast
-/// that no step of a difference is short enough.
-fn undirected(e: &Estimate) -> bool {
-    let seen = AlignedScene::new(&e.camera, &e.rotation, &e.a, &e.matches);
-    seen.is_none_or(|s| s.planar.iter().chain(&s.axial).any(|f| f.norm() < 1e-4 * e.camera.fu))
+/// The rotation, in radians, that would undo the shortest aligned flow: directions turn so fast there that a difference needs
+/// far smaller steps.
+fn shortest(e: &Estimate) -> Option<f64> {
+    let seen = AlignedScene::new(&e.camera, &e.rotation, &e.a, &e.matches)?;
+    seen.planar.iter().chain(&seen.axial).map(|f| f.norm() / e.camera.fu).reduce(f64::min)
 }
 
 fn derivatives(e: &Estimate, f: &mut Findings) {
-    if undirected(e) {
+    let Some(shortest) = shortest(e) else { return f.residual("scene in front of the camera", f64::NAN, 1.0) };
+    // A flow that almost vanishes has no direction to speak of.
+    if shortest < 1e-4 {
         return;
     }
     let offsets = e.offsets();
@@ -217,7 +219,7 @@ fn derivatives(e: &Estimate, f: &mut Findings) {
     let axi = closed(e, alignment::axial, alignment::axial_jacobian, |flows| axial::gradients::smooth(flows, &offsets));
     let (Some(pla), Some(axi)) = (pla, axi) else { return f.residual("scene in front of the camera", f64::NAN, 1.0) };
     let dual = forward::jacobian([0.0; 6], |x: [Dual; 6]| forward_losses(e, x));
-    let steps = std::array::from_fn(|k| if k < 3 { 2e-8 } else { 2e-8 * e.a.norm() });
+    let steps = std::array::from_fn(|k| 1.5e-4 * shortest * if k < 3 { 1.0 } else { e.a.norm() });
     let central = forward::central([0.0; 6], steps, |x: [f64; 6]| forward_losses(e, x));
     let by_tape = [
         taped_gradient(e, Convention::AsPrinted, |pair| planar_form(pair, PlanarForm::Circular)).0,
