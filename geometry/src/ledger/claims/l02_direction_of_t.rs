@@ -71,7 +71,8 @@ fn at(case: &Case, f: &mut Findings) {
 
 /// Eq. p_s with `T` gives the pixel of the source point.
 fn flow_needs_target_to_source(case: &Case, source: &Vector3<f64>, f: &mut Findings) {
-    let flow = rigid_flow(&case.camera, &case.motion, &case.pixel, case.depth).map_or(Vector2::repeat(f64::NAN), |(flow, _)| flow);
+    let flow =
+        rigid_flow(&case.camera, &case.motion, &case.pixel, case.depth).map_or(Vector2::repeat(f64::NAN), |(flow, _)| flow);
     let seen = case.camera.project(source).unwrap_or(Vector2::repeat(f64::NAN));
     f.residual("p + f - projection of P_s, px", (case.pixel + flow - seen).norm(), 1e-10);
     let there = Vector2::from(forward::projected::<f64>(&case.camera, (*source).into()));

@@ -63,7 +63,11 @@ fn at(case: &Case, f: &mut Findings) {
     let share = case.extra(0, 0.5, 1.5);
     let wrong = printed(share * depth);
     f.residual("printed with any z_hat: third component - z_s / z_hat", wrong.z - 1.0 / share, 1e-13);
-    f.residual("printed with any z_hat, divided by its third component - p_s, px", (wrong.xy() / wrong.z - (p + flow)).norm(), 1e-10);
+    f.residual(
+        "printed with any z_hat, divided by its third component - p_s, px",
+        (wrong.xy() / wrong.z - (p + flow)).norm(),
+        1e-10,
+    );
 }
 
 #[cfg(test)]

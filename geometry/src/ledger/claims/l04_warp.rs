@@ -110,9 +110,8 @@ fn shifts(input: &Input, image: &Image, f: &mut Findings) {
 fn slopes(input: &Input, image: &Image, mask: &Tensor<f64>, f: &mut Findings) {
     let flow = input.flow();
     let inputs = [plane(&input.image, [HEIGHT, WIDTH]), flow_tensor(&flow, [HEIGHT, WIDTH])];
-    let (_, rows) = taped::jacobian(&inputs, |v| {
-        warp(v[0], v[1], SamplePadding::Border).mul(v[0].tape().constant(mask.clone())).sum()
-    });
+    let (_, rows) =
+        taped::jacobian(&inputs, |v| warp(v[0], v[1], SamplePadding::Border).mul(v[0].tape().constant(mask.clone())).sum());
     let (by_image, by_flow) = rows[0].split_at(PIXELS);
     for i in 0..PIXELS {
         let (p, tape) = (image.shifted(i, &flow[i]), [by_flow[i], by_flow[PIXELS + i]]);

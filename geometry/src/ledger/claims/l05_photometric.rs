@@ -102,7 +102,11 @@ fn at(input: &Input, f: &mut Findings) {
     let back = photometric_error(&similarities(y, &x), &differences(y, &x), ALPHA);
     f.residual("loss - loss with the images exchanged", loss - back, 1e-14);
     let alone = photometric_error(&s[..1], &d[..1], ALPHA);
-    f.residual("loss of a grey pixel - that of its three equal channels", photometric_error(&[s[0]; 3], &[d[0]; 3], ALPHA) - alone, 1e-15);
+    f.residual(
+        "loss of a grey pixel - that of its three equal channels",
+        photometric_error(&[s[0]; 3], &[d[0]; 3], ALPHA) - alone,
+        1e-15,
+    );
     f.residual("loss - loss from raw moments", loss - written_out(x, *y), 1e-12);
     // |I' - I| has no slope at equal colours.
     if d.iter().all(|d| d.abs() > 1e-5) {

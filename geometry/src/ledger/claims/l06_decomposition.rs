@@ -36,7 +36,8 @@ fn check(trial: &mut Trial) {
     let in_target = target.tangential.translation + target.radial.translation;
     let delta = translation_gap(&motion);
     let f = &mut trial.findings;
-    let documented = [[0.056661070926, -0.00333892907402], [0.0363712893823, -0.00362871061774], [-0.0840633829333, -0.00406338293331]];
+    let documented =
+        [[0.056661070926, -0.00333892907402], [0.0363712893823, -0.00362871061774], [-0.0840633829333, -0.00406338293331]];
     for (k, [expected, gap]) in documented.into_iter().enumerate() {
         f.documented("t', documented", in_target[k], expected, 1e-11);
         f.documented("t' - t, documented", delta[k], gap, 1e-11);
@@ -77,7 +78,11 @@ fn second_split(case: &Case, source: &MotionParts, target: &MotionParts, f: &mut
     let (omega, t) = (so3::log(&case.motion.rotation), case.motion.translation);
     let delta = translation_gap(&case.motion);
     let sum = |parts: &MotionParts| parts.tangential.translation + parts.radial.translation;
-    f.residual("parts of the splits differ by delta, relative to z", (sum(target) - sum(source) - delta).norm() / case.depth, 1e-14);
+    f.residual(
+        "parts of the splits differ by delta, relative to z",
+        (sum(target) - sum(source) - delta).norm() / case.depth,
+        1e-14,
+    );
     let remainder = (delta - translation_gap_first_order(&omega, &t)).norm();
     // Lengths up to 0.3 z: the second term is their rounding.
     let bound = 0.5 * omega.norm_squared() * t.norm() + 1e-15 * case.depth;

@@ -50,7 +50,8 @@ fn at(case: &Case, f: &mut Findings) {
     }
     let homogeneous = camera.matrix() * rotation * camera.inverse_matrix() * Vector3::new(p.x, p.y, 1.0);
     f.residual("K R K^-1 p~ - (h_3 . p~) p~_s, px", (homogeneous.xy() - image * ratio).norm(), 1e-10);
-    let (back, _) = transfer(&rotation_homography(camera, &rotation.transpose()), &image).unwrap_or((Vector2::repeat(f64::NAN), 0.0));
+    let (back, _) =
+        transfer(&rotation_homography(camera, &rotation.transpose()), &image).unwrap_or((Vector2::repeat(f64::NAN), 0.0));
     f.residual("homography of R^T at p_s - p_t, px", (back - p).norm(), 1e-9);
 }
 

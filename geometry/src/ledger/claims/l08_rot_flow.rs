@@ -29,7 +29,8 @@ fn check(trial: &mut Trial) {
     let rotation = so3::exp(&Vector3::new(0.03, -0.05, 0.02));
     let flow = rotational_flow(&camera, &rotation, &p).unwrap_or(Vector2::repeat(f64::NAN));
     let terms = quadratic_terms(&rotation_homography(&camera, &rotation), &p);
-    for (k, [expected, quadratic]) in [[-19.4329111175, -457.044111215], [-8.16065596442, -63.8442993493]].into_iter().enumerate() {
+    for (k, [expected, quadratic]) in [[-19.4329111175, -457.044111215], [-8.16065596442, -63.8442993493]].into_iter().enumerate()
+    {
         trial.findings.documented("flow at (451, 63), documented", flow[k], expected, 1e-11);
         trial.findings.documented("quadratic terms at (451, 63), documented", terms[k], quadratic, 1e-11);
     }

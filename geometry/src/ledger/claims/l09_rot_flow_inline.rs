@@ -34,7 +34,11 @@ fn check(trial: &mut Trial) {
         trial.findings.documented("terms at (451, 63), documented", terms[k], expected, 1e-10);
         trial.findings.documented("printed terms at (451, 63), documented", printed[k], -expected, 1e-10);
     }
-    trial.findings.gap("flow with the printed signs - flow, px", (printed - terms).norm() / (h.row(2) * homogeneous(&p))[0], 900.0);
+    trial.findings.gap(
+        "flow with the printed signs - flow, px",
+        (printed - terms).norm() / (h.row(2) * homogeneous(&p))[0],
+        900.0,
+    );
 }
 
 fn homogeneous(p: &Vector2<f64>) -> Vector3<f64> {

@@ -54,7 +54,11 @@ fn check(trial: &mut Trial) {
         let found = so3::commutator(&(x * angle), &(y * angle)).norm();
         f.equal("commutator of two axis rotations, documented, relative", found, expected, expected, 1e-8);
     }
-    f.gap("two rotations in either order, 0.01 rad about x and y: Frobenius norm", so3::commutator(&(x * 0.01), &(y * 0.01)).norm(), 1.27e-4);
+    f.gap(
+        "two rotations in either order, 0.01 rad about x and y: Frobenius norm",
+        so3::commutator(&(x * 0.01), &(y * 0.01)).norm(),
+        1.27e-4,
+    );
 }
 
 fn at(case: &Case, f: &mut Findings) {
@@ -79,7 +83,11 @@ fn image(case: &Case, source: &Vector3<f64>, f: &mut Findings) {
     f.residual("pixel of P_s - t - p - rotational flow written out, px", (left - p - Vector2::from(still)).norm(), 1e-10);
     let whole = rigid_flow(camera, motion, &p, z).map_or(nowhere, |(flow, _)| flow);
     let (rotational, translational) = rigid_flow_by_parts(camera, motion, &p, z).unwrap_or((nowhere, nowhere));
-    f.residual("flow - rotational - translational flow at the turned pixel, px", (whole - rotational - translational).norm(), 1e-10);
+    f.residual(
+        "flow - rotational - translational flow at the turned pixel, px",
+        (whole - rotational - translational).norm(),
+        1e-10,
+    );
 }
 
 /// With a wrong source depth the rotation still comes off exactly, as a turn of the viewing ray; the translation does not.

@@ -47,7 +47,13 @@ fn at(case: &Case, f: &mut Findings) {
     let at_far = tangential_flow(camera, &t, far);
     f.equal("z |f| at two depths, relative", z * flow.norm(), far * at_far.norm(), z * flow.norm(), 1e-10);
     f.equal("flows at two depths, cross product, relative", flow.perp(&at_far), 0.0, flow.norm() * at_far.norm(), 1e-10);
-    f.equal("flows at two depths, same side, relative", flow.dot(&at_far), flow.norm() * at_far.norm(), flow.norm() * at_far.norm(), 1e-10);
+    f.equal(
+        "flows at two depths, same side, relative",
+        flow.dot(&at_far),
+        flow.norm() * at_far.norm(),
+        flow.norm() * at_far.norm(),
+        1e-10,
+    );
     f.equal("flow along f o t, relative", flow.perp(&focal_scaled(camera, &t)), 0.0, flow.norm() * t.norm() * camera.fu, 1e-10);
     let elsewhere = Vector2::new(case.extra(1, 0.0, 640.0), case.extra(2, 0.0, 192.0));
     let (there, _) = forward::rigid_flow::<f64>(camera, [0.0; 3], t.into(), elsewhere.into(), z);

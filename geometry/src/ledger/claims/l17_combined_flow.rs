@@ -45,10 +45,8 @@ fn check(trial: &mut Trial) {
     let focus = focus_of_expansion(&camera, &t).unwrap_or(NOWHERE);
     let motion = Se3::from_rotation_vector(&Vector3::new(0.03, -0.05, 0.02), t);
     let turned = rigid_flow_by_parts(&camera, &motion, &p, z).map_or(NOWHERE, |(rotational, rest)| rotational + rest);
-    let expected = [
-        [2.50076335878, 0.408036641221, 505.6, -16.0849042832],
-        [-1.30259541985, -0.135074198473, 34.56, -9.07775325806],
-    ];
+    let expected =
+        [[2.50076335878, 0.408036641221, 505.6, -16.0849042832], [-1.30259541985, -0.135074198473, 34.56, -9.07775325806]];
     for (k, [whole, extra, centre, with_rotation]) in expected.into_iter().enumerate() {
         trial.findings.documented("flow, documented", flow[k], whole, 1e-11);
         trial.findings.documented("f_tan + f_rad - f, documented", sum[k] - flow[k], extra, 1e-11);
@@ -109,12 +107,20 @@ fn with_rotation(case: &Case, f: &mut Findings) {
     let dual = forward::jacobian([z], |[z]| {
         forward::rigid_flow(camera, forward::fixed(omega.into()), forward::fixed(t.into()), forward::fixed(p.into()), z).0
     });
-    let central = forward::central([z], [1e-6 * z], |[z]| forward::rigid_flow::<f64>(camera, omega.into(), t.into(), p.into(), z).0);
+    let central =
+        forward::central([z], [1e-6 * z], |[z]| forward::rigid_flow::<f64>(camera, omega.into(), t.into(), p.into(), z).0);
     let (_, rows) = taped::rigid_flow(camera, &omega, &t, &p, z);
     let turned = transfer(&rotation_homography(camera, &motion.rotation), &p).map_or(NOWHERE, |(pixel, _)| pixel);
     let offset = (turned - camera.principal_point()).norm();
     let scale = (camera.fu.max(camera.fv) + offset) / source_depth;
-    f.derivative("with a rotation: df/dz", closed.as_slice(), Some(&dual), Some(&[rows[0][6], rows[1][6]]), Some(&central), scale);
+    f.derivative(
+        "with a rotation: df/dz",
+        closed.as_slice(),
+        Some(&dual),
+        Some(&[rows[0][6], rows[1][6]]),
+        Some(&central),
+        scale,
+    );
 }
 
 #[cfg(test)]

@@ -5,8 +5,8 @@ use nalgebra::{Vector2, Vector3};
 use super::flow_gradients::{self, Input};
 use crate::flow::gradients::{rigid_gradients, translational_gradients};
 use crate::ledger::{Case, Claim, Findings, Trial, Verdict};
-use crate::se3::Se3;
 use crate::scenes;
+use crate::se3::Se3;
 
 pub(super) static CLAIM: Claim = Claim {
     id: "L18",

@@ -63,7 +63,8 @@ fn at(case: &Case, f: &mut Findings) {
     let (camera, t, z) = (&case.camera, case.motion.translation, case.depth);
     let gradient = |p: &Vector2<f64>| translational_gradients(camera, &t, p, z).map_or(Vector2::repeat(f64::NAN), |g| g.z);
     // A gradient is the difference of a tangential and a radial share; rounding is measured against their sum.
-    let share = |d: &Vector2<f64>| (Vector2::new(camera.fu * t.x, camera.fv * t.y).norm() + d.norm() * t.z.abs()) / (z + t.z).powi(2);
+    let share =
+        |d: &Vector2<f64>| (Vector2::new(camera.fu * t.x, camera.fv * t.y).norm() + d.norm() * t.z.abs()) / (z + t.z).powi(2);
     let p0 = camera.principal_point();
     let unit = camera.fu.max(camera.fv) / (z + t.z);
     let at_p0 = depth_gradient_at_principal_point(camera, &t, z).unwrap_or(f64::NAN);
@@ -72,7 +73,13 @@ fn at(case: &Case, f: &mut Findings) {
         let moved = gradient(&case.pixel) - gradient(&p0);
         return f.residual("df/dz at p - df/dz at p0 for t_z = 0, px/m", moved.norm(), 1e-12);
     };
-    f.equal("df/dz at the focus, relative to its shares", gradient(&focus).norm(), 0.0, share(&(focus - p0)).max(f64::MIN_POSITIVE), 1e-12);
+    f.equal(
+        "df/dz at the focus, relative to its shares",
+        gradient(&focus).norm(),
+        0.0,
+        share(&(focus - p0)).max(f64::MIN_POSITIVE),
+        1e-12,
+    );
     let closed = depth_gradient_about_focus(camera, &t, &case.pixel, z).unwrap_or(f64::NAN);
     let ways = ways(&case);
     let [forward, tape, central] = [&ways.forward, &ways.tape, &ways.central].map(|way| [way[Input::Depth as usize].norm()]);

@@ -4,7 +4,9 @@ use nalgebra::{Vector2, Vector3};
 
 use super::flow_gradients::{Input, ways};
 use crate::alignment::axial_jacobian;
-use crate::flow::gradients::{mixed_second_derivatives, radial_influence, tangential_influence, tangential_influence_radius, translational_gradients};
+use crate::flow::gradients::{
+    mixed_second_derivatives, radial_influence, tangential_influence, tangential_influence_radius, translational_gradients,
+};
 use crate::ledger::{Case, Claim, Findings, Trial, Verdict, forward, taped};
 use crate::scenes;
 
@@ -14,7 +16,9 @@ pub(super) static CLAIM: Claim = Claim {
     place: "text after eq. grad_tz",
     statement: "The gradients of t_x and t_y are influenced by t_z, and the other way round.",
     verdict: Verdict::Conditional,
-    condition: Some("t_x, t_y: by the share t_z / z of their size, never of their direction; t_z: mainly for r < |f o t_tan| / z"),
+    condition: Some(
+        "t_x, t_y: by the share t_z / z of their size, never of their direction; t_z: mainly for r < |f o t_tan| / z",
+    ),
     formula: "d ln |df/dt_x| / dt_z = -1 / (z + t_z);  d2f / dt_x dt_z = -(f_u, 0) / (z + t_z)^2;  share of t_tan in df/dt_z: |f o t_tan| / (r z)",
     derivation: "df/dt_x = (f_u, 0) / (z + t_z) depends on t_z through the source depth only. df/dt_z = -[d z + f o t_tan] / (z + t_z)^2 \
          is the sum of a share of the offset and one of t_tan, in the proportion r z to |f o t_tan|. The alignment takes away the \
@@ -47,10 +51,16 @@ fn check(trial: &mut Trial) {
     f.gap("share of df/dt_x that t_z = 0.8 leaves alone at 20 m", unchanged, 0.9);
     let (hand, pixel) = (scenes::handheld(), 100);
     let (camera, z, t) = (&hand.scene.camera, hand.scene.depths[pixel], hand.motion.translation_in_from_frame());
-    f.documented("radius of influence, hand-held at 4.36 m, px", tangential_influence_radius(camera, &t, z), 5.50098096764f64.hypot(3.68565724832), 1e-10);
+    f.documented(
+        "radius of influence, hand-held at 4.36 m, px",
+        tangential_influence_radius(camera, &t, z),
+        5.50098096764f64.hypot(3.68565724832),
+        1e-10,
+    );
     let corner = Vector2::new(0.0, 0.0);
     f.gap("share of the offset in df/dt_z at the image corner", 1.0 - tangential_influence(camera, &t, &corner, z), 0.9);
-    let gradient = axial_jacobian(camera, &hand.motion.rotation, &t, &hand.scene.matches(&hand.motion)[pixel]).translation[(0, 0)];
+    let gradient =
+        axial_jacobian(camera, &hand.motion.rotation, &t, &hand.scene.matches(&hand.motion)[pixel]).translation[(0, 0)];
     f.documented("df_axi/dt_x = -f_u / z', px/m", gradient, -camera.fu / (z + t.z), 1e-11);
     f.gap("change of df_axi/dt_x with the true t'_z, relative", gradient * z / camera.fu + 1.0, 0.0168);
 }

@@ -44,7 +44,11 @@ fn at(case: &Case, f: &mut Findings) {
     let (radial, tangential) = (undone([t.x, t.y, 0.0]), undone([0.0, 0.0, t.z]));
     let left = |found: [f64; 3], moved: Se3| (nalgebra::Vector3::from(found) - moved.transform(&x)).norm() / (1.0 + x.norm());
     f.residual("point after undoing rotation and t_tan - point moved by t_rad, relative", left(radial, parts.radial), 1e-13);
-    f.residual("point after undoing rotation and t_rad - point moved by t_tan, relative", left(tangential, parts.tangential), 1e-13);
+    f.residual(
+        "point after undoing rotation and t_rad - point moved by t_tan, relative",
+        left(tangential, parts.tangential),
+        1e-13,
+    );
 }
 
 #[cfg(test)]

@@ -31,7 +31,8 @@ fn check(trial: &mut Trial) {
     let pose = |w: [f64; 3], t: [f64; 3]| Se3::from_rotation_vector(&w.into(), t.into());
     let truth = pose([0.03, -0.05, 0.02], [0.06, 0.04, -0.08]);
     let rows = residual_rows(&truth, &pose([0.032, -0.047, 0.021], [0.066, 0.037, -0.085]));
-    let expected = [-0.00604025359731, 0.00307211200459, -0.000126463439953, -0.000255218534859, 0.0001653323136, 0.00499945604959];
+    let expected =
+        [-0.00604025359731, 0.00307211200459, -0.000126463439953, -0.000255218534859, 0.0001653323136, 0.00499945604959];
     let found = rows.radial.translation.iter().chain(rows.tangential.translation.iter());
     for (&found, expected) in found.zip(expected) {
         trial.findings.documented("translations of both rows, documented", found, expected, 1e-8);

@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 
 use crate::deviation::{
-    induced_flow_size, induced_translation, induced_translation_first_order, printed_induced_translation, residual_rows, rotation_flow_size,
+    induced_flow_size, induced_translation, induced_translation_first_order, printed_induced_translation, residual_rows,
+    rotation_flow_size,
 };
 use crate::flow::{rotational::rotational_flow, tangential::tangential_flow};
 use crate::ledger::{Case, Claim, Findings, Trial, Verdict};
@@ -55,7 +56,11 @@ fn check(trial: &mut Trial) {
     for (z, expected) in [(10.0, 0.0647866218340), (40.0, 0.0161966554585)] {
         f.documented("flow of the induced translation, documented, px", induced_flow_size(fu, angle, 1.0, z), expected, 1e-10);
     }
-    f.gap("flow of the rotation over that of the induced translation at 40 m", rotation_flow_size(fu, angle) / induced_flow_size(fu, angle, 1.0, 40.0), 36.0);
+    f.gap(
+        "flow of the rotation over that of the induced translation at 40 m",
+        rotation_flow_size(fu, angle) / induced_flow_size(fu, angle, 1.0, 40.0),
+        36.0,
+    );
 }
 
 fn at(case: &Case, f: &mut Findings) {
@@ -98,7 +103,11 @@ fn sizes(case: &Case, angle: f64, f: &mut Findings) {
     let moved = tangential_flow(camera, &induced, z).norm();
     let size = induced_flow_size(camera.fu, angle, t_z.abs(), z);
     // angle^2 / 6 of the size is left by the sine, beside rounding of 1 - cos and sin of a small angle.
-    f.residual("flow of the induced translation - f angle t_z / z, by the size", (moved - size) / size.max(f64::MIN_POSITIVE), 2e-5);
+    f.residual(
+        "flow of the induced translation - f angle t_z / z, by the size",
+        (moved - size) / size.max(f64::MIN_POSITIVE),
+        2e-5,
+    );
 }
 
 #[cfg(test)]

@@ -15,7 +15,9 @@ pub(super) static CLAIM: Claim = Claim {
     place: "D_{s->t} and p_s^C",
     statement: "p_s^C = D_{s->t}(p_t) K^-1 p_s is the source point of the target pixel.",
     verdict: Verdict::Conditional,
-    condition: Some("p_s is homogeneous; D_{s->t} is the source depth at p_s, in the source frame; read without interpolation error"),
+    condition: Some(
+        "p_s is homogeneous; D_{s->t} is the source depth at p_s, in the source frame; read without interpolation error",
+    ),
     formula: "p_s^C = D_s(p_s) K^-1 p~_s = R P_t + t;  on a plane 1/z = a u + b v + c is affine in the pixel, z is not",
     derivation: "K^-1 p~_s is the viewing ray with third component 1, so z_s times it is the point. A warp reads D_s between pixels: the \
          bilinear mean of z = 1/q over a cell, with 1/q convex in the affine q, is at least 1 / mean(q) = z. The mean of 1/z is \

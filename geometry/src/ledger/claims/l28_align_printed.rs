@@ -73,8 +73,8 @@ fn at(case: &Case, f: &mut Findings) {
     let Some(exact) = case.exact_match() else {
         return f.residual("point in front of the camera", f64::NAN, 1.0);
     };
-    let closed = [printed::planar_flow, printed::axial_flow]
-        .map(|flow| flow(camera, motion, &case.pixel, case.depth).unwrap_or(nowhere));
+    let closed =
+        [printed::planar_flow, printed::axial_flow].map(|flow| flow(camera, motion, &case.pixel, case.depth).unwrap_or(nowhere));
     let aligned = [planar(camera, &motion.rotation, &t, &exact), axial(camera, &motion.rotation, &t, &exact)];
     let w = so3::log(&motion.rotation).into();
     let (flow, source_depth) = forward::rigid_flow::<f64>(camera, w, t.into(), case.pixel.into(), case.depth);

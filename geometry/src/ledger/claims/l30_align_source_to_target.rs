@@ -19,7 +19,9 @@ pub(super) static CLAIM: Claim = Claim {
     statement: "With P_t = A P_s + a the alignment is Q_pla = A P_s + rad(a), Q_axi = A P_s + tan(a), and eqs. transformation and \
          residual_rot hold as printed.",
     verdict: Verdict::Exact,
-    condition: Some("eq. p_s takes the inverse (A^T, -A^T a), the flows of the single motions take t = -a, and the ratios change sign"),
+    condition: Some(
+        "eq. p_s takes the inverse (A^T, -A^T a), the flows of the single motions take t = -a, and the ratios change sign",
+    ),
     formula: "A = R^T, a = -t';  rho_x = z / a_x = -f_u / f_x,  rho_z = z / a_z = +d . (f + d) / (d . f)",
     derivation: "A P_s = P_t - a, so adding rad(a) leaves P_t - tan(a), adding tan(a) leaves P_t - rad(a). With a = -t' these are the \
          points of correction B. Pose networks that output the motion from source to target deliver A and a directly.",
@@ -57,7 +59,11 @@ fn at(case: &Case, f: &mut Findings) {
     };
     f.residual("planar flow, E - B, px", (e.planar.flow - plane.flow).norm(), 1e-10);
     f.residual("axial flow, E - B, px", (e.axial.flow - axis.flow).norm(), 1e-10);
-    f.residual("depths, E - B, relative", ((e.planar.depth - plane.depth).abs() + (e.axial.depth - axis.depth).abs()) / case.depth, 1e-12);
+    f.residual(
+        "depths, E - B, relative",
+        ((e.planar.depth - plane.depth).abs() + (e.axial.depth - axis.depth).abs()) / case.depth,
+        1e-12,
+    );
     inverses(case, &back, f);
     let recovered = inverse_tangential_ratios(camera, &e.planar.flow) * case.depth;
     let size = case.depth * 0.01 + back.translation.norm();

@@ -2,11 +2,11 @@
 
 use nalgebra::Vector3;
 
+use crate::aligned_scene::AlignedScene;
 use crate::alignment::{Convention, printed};
 use crate::ledger::{Claim, Findings, Trial, Verdict};
 use crate::loss_forms::{axial, planar, tangential};
 use crate::ratios::{radial_ratio, tangential_ratios};
-use crate::aligned_scene::AlignedScene;
 use crate::scenes::families;
 use crate::se3::Se3;
 

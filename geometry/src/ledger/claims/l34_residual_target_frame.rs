@@ -55,9 +55,18 @@ fn points(case: &Case, guess: &Se3, [planar, axial]: [Se3; 2], f: &mut Findings)
     let unrotated = unrotated_point(&case.camera, &guess.rotation, &exact);
     let (t, a) = (case.in_target(), guess.translation_in_from_frame());
     let scale = 1.0 + case.point().norm();
-    let off = |found: Vector3<f64>, left: Se3, stays: Vector3<f64>| (found - left.transform(&case.point()) - stays).norm() / scale;
-    f.residual("planar point - T_tan' leftover P_t, relative", off(unrotated - radial_part(&a), planar, tangential_part(&t)), 1e-12);
-    f.residual("axial point - T_rad' leftover P_t, relative", off(unrotated - tangential_part(&a), axial, radial_part(&t)), 1e-12);
+    let off =
+        |found: Vector3<f64>, left: Se3, stays: Vector3<f64>| (found - left.transform(&case.point()) - stays).norm() / scale;
+    f.residual(
+        "planar point - T_tan' leftover P_t, relative",
+        off(unrotated - radial_part(&a), planar, tangential_part(&t)),
+        1e-12,
+    );
+    f.residual(
+        "axial point - T_rad' leftover P_t, relative",
+        off(unrotated - tangential_part(&a), axial, radial_part(&t)),
+        1e-12,
+    );
 }
 
 #[cfg(test)]

@@ -33,8 +33,10 @@ fn check(trial: &mut Trial) {
     let m = Match { source_depth: exact.source_depth * 1.03, ..exact };
     let (r, a) = (so3::exp(&Vector3::new(0.032, -0.047, 0.021)), Vector3::new(0.066, 0.037, -0.085));
     let (pla, axi) = (planar_jacobian(camera, &r, &a, &m), axial_jacobian(camera, &r, &a, &m));
-    let found = [pla.translation[(0, 2)], pla.translation[(1, 2)], axi.rotation[(0, 0)], axi.rotation[(0, 1)], axi.rotation[(0, 2)]];
-    for (found, expected) in found.into_iter().zip([-39.9151020004, -18.447246261, 39.6614409565, -486.24625546, -84.0476472354]) {
+    let found =
+        [pla.translation[(0, 2)], pla.translation[(1, 2)], axi.rotation[(0, 0)], axi.rotation[(0, 1)], axi.rotation[(0, 2)]];
+    for (found, expected) in found.into_iter().zip([-39.9151020004, -18.447246261, 39.6614409565, -486.24625546, -84.0476472354])
+    {
         trial.findings.documented("derivatives of a hand-held pixel, documented", found, expected, 1e-11);
     }
 }
@@ -94,7 +96,8 @@ fn other_ways(camera: &Intrinsics, [w, a]: [Vector3<f64>; 2], m: &Match, k: usiz
     let pixels: [[f64; 2]; 2] = [m.target.into(), m.source.into()];
     let x = [0.0, 0.0, 0.0, a.x, a.y, a.z, m.source_depth];
     let forward = forward::jacobian(x, |[e0, e1, e2, a0, a1, a2, depth]| {
-        let part = [a0 * forward::fixed([removed[0]])[0], a1 * forward::fixed([removed[1]])[0], a2 * forward::fixed([removed[2]])[0]];
+        let part =
+            [a0 * forward::fixed([removed[0]])[0], a1 * forward::fixed([removed[1]])[0], a2 * forward::fixed([removed[2]])[0]];
         forward::aligned(camera, [forward::fixed(w.into()), [e0, e1, e2]], part, pixels.map(forward::fixed), depth).0
     });
     let steps = [1e-6, 1e-6, 1e-6, 1e-6 * z, 1e-6 * z, 1e-6 * z, 1e-6 * z];

@@ -129,66 +129,51 @@ fn taped_form<'t>(pair: &AlignedPair<'t, f64>, form: AxialForm) -> Var<'t, f64> 
     losses::axial(pair, &LossOptions { axial: form, ..taped::bare() }).mean
 }
 
+/// One form by all four ways: name, closed gradient, the loss over any numbers, the gradient on the tape.
+macro_rules! ways {
+    ($f:expr, $sample:expr, $name:expr, $closed:expr, $loss:expr, $tape:expr) => {{
+        let flows = &$sample.flows;
+        let closed = by::scaled(flows, &$closed);
+        let scale = closed.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+        let (forward, central) = (by::forward(flows, |x: &[V2<Dual>]| $loss(x)), by::central(flows, |x: &[V2<f64>]| $loss(x)));
+        let what = concat!("dL/df, ", $name, ", lengths of the flow");
+        $f.derivative(what, &closed, Some(&forward), Some(&$tape), Some(&central), scale);
+    }};
+}
+
 fn at(case: &Case, f: &mut Findings) {
     let sample = Sample::new(case);
-    if !sample.smooth() {
-        return;
+    if sample.smooth() {
+        // Both senses of the radial translation, by turns.
+        signed_forms(&sample, if case.extra[10] < 0.5 { -0.4 } else { 0.4 }, f);
+        unsigned_forms(&sample, f);
     }
-    // Both senses of the radial translation, by turns.
-    let a_z = if case.extra[10] < 0.5 { -0.4 } else { 0.4 };
+}
+
+fn signed_forms(sample: &Sample, a_z: f64, f: &mut Findings) {
     let (flows, d, offsets) = (&sample.flows, &sample.offsets, sample.plain_offsets());
-    let s = -f64::signum(a_z);
-    let own = axial::sign_of_flows(flows, d);
+    let (s, own) = (-a_z.signum(), axial::sign_of_flows(flows, d));
     let tape = |a_z, form| sample.taped(a_z, |pair| taped_form(pair, form));
-    let mut compare = |name: &str, closed: Vec<Vector2<f64>>, forward: Vec<f64>, tape: Vec<f64>, central: Vec<f64>| {
-        let closed = by::scaled(flows, &closed);
-        let scale = closed.iter().fold(0.0f64, |m, x| m.max(x.abs()));
-        let what = format!("dL/df, {name}, lengths of the flow");
-        f.derivative(&what, &closed, Some(&forward), Some(&tape), Some(&central), scale);
-    };
-    macro_rules! ways {
-        ($name:expr, $closed:expr, $loss:expr, $tape:expr) => {
-            compare(
-                $name,
-                $closed,
-                by::forward(flows, |x: &[V2<Dual>]| $loss(x)),
-                $tape,
-                by::central(flows, |x: &[V2<f64>]| $loss(x)),
-            )
-        };
-    }
-    ways!(
-        "printed, arc cosine on the tape",
-        gradients::printed(flows, d),
-        |x| direction::axial_printed(x, &offsets),
-        tape(a_z, AxialForm::Literal)
-    );
-    ways!(
-        "printed, atan2 on the tape",
-        gradients::printed(flows, d),
-        |x| direction::axial_signed(x, &offsets, 1.0),
-        tape(a_z, AxialForm::Signed)
-    );
-    ways!(
-        "sign of the pose",
-        gradients::pose_sign(flows, d, a_z),
-        |x| direction::axial_signed(x, &offsets, s),
-        tape(a_z, AxialForm::PoseSign)
-    );
-    ways!(
-        "sign of the flows",
-        gradients::flow_sign(flows, d),
-        |x| direction::axial_signed(x, &offsets, own),
-        tape(-0.4 * own, AxialForm::PoseSign)
-    );
-    ways!("unsigned", gradients::folded(flows, d), |x| direction::axial_folded(x, &offsets), tape(a_z, AxialForm::Folded));
-    ways!("squared sine", gradients::smooth(flows, d), |x| direction::axial_smooth(x, &offsets), sample.taped(a_z, taped_smooth));
-    ways!(
-        "distance from the radius",
-        gradients::perpendicular(flows, d),
-        |x| direction::axial_perpendicular(x, &offsets),
-        tape(a_z, AxialForm::PerpendicularPixels)
-    );
+    let printed = gradients::printed(flows, d);
+    let by_arccos = tape(a_z, AxialForm::Literal);
+    ways!(f, sample, "printed, arc cosine on the tape", printed, |x| direction::axial_printed(x, &offsets), by_arccos);
+    let by_atan2 = tape(a_z, AxialForm::Signed);
+    ways!(f, sample, "printed, atan2 on the tape", printed, |x| direction::axial_signed(x, &offsets, 1.0), by_atan2);
+    let (pose, taped) = (gradients::pose_sign(flows, d, a_z), tape(a_z, AxialForm::PoseSign));
+    ways!(f, sample, "sign of the pose", pose, |x| direction::axial_signed(x, &offsets, s), taped);
+    let (common, taped) = (gradients::flow_sign(flows, d), tape(-0.4 * own, AxialForm::PoseSign));
+    ways!(f, sample, "sign of the flows", common, |x| direction::axial_signed(x, &offsets, own), taped);
+}
+
+fn unsigned_forms(sample: &Sample, f: &mut Findings) {
+    let (flows, d, offsets) = (&sample.flows, &sample.offsets, sample.plain_offsets());
+    let tape = |form| sample.taped(0.0, |pair| taped_form(pair, form));
+    let (folded, taped) = (gradients::folded(flows, d), tape(AxialForm::Folded));
+    ways!(f, sample, "unsigned", folded, |x| direction::axial_folded(x, &offsets), taped);
+    let (smooth, taped) = (gradients::smooth(flows, d), sample.taped(0.0, taped_smooth));
+    ways!(f, sample, "squared sine", smooth, |x| direction::axial_smooth(x, &offsets), taped);
+    let (distance, taped) = (gradients::perpendicular(flows, d), tape(AxialForm::PerpendicularPixels));
+    ways!(f, sample, "distance from the radius", distance, |x| direction::axial_perpendicular(x, &offsets), taped);
 }
 
 /// The squared sine from the two products: `(f x d)^2 + (f . d)^2 = f.f d.d`.

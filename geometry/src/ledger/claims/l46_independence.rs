@@ -4,6 +4,7 @@ use dimode_autodiff::proof::{Dual, Number};
 use dimode_autodiff::{Shape, Tape, Tensor, Var};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
+use crate::aligned_scene::AlignedScene;
 use crate::alignment::{self, AlignmentJacobian, Convention, Match};
 use crate::camera::Intrinsics;
 use crate::ledger::forward::{self, V2, direction};
@@ -200,14 +201,26 @@ fn at(e: &Estimate, f: &mut Findings) {
     f.residual("dL_pla/dt - R e_3 dL_pla/dt'_z, relative", misfit(e), 1e-12);
 }
 
+/// The rotation, in radians, that would undo the shortest aligned flow: directions turn so fast there that a difference needs
+/// far smaller steps.
+fn shortest(e: &Estimate) -> Option<f64> {
+    let seen = AlignedScene::new(&e.camera, &e.rotation, &e.a, &e.matches)?;
+    seen.planar.iter().chain(&seen.axial).map(|f| f.norm() / e.camera.fu).reduce(f64::min)
+}
+
 fn derivatives(e: &Estimate, f: &mut Findings) {
+    let Some(shortest) = shortest(e) else { return f.residual("scene in front of the camera", f64::NAN, 1.0) };
+    // A flow that almost vanishes has no direction to speak of.
+    if shortest < 1e-4 {
+        return;
+    }
     let offsets = e.offsets();
     let pla = closed(e, alignment::planar, alignment::planar_jacobian, planar::gradients::circular);
     let axi = closed(e, alignment::axial, alignment::axial_jacobian, |flows| axial::gradients::smooth(flows, &offsets));
     let (Some(pla), Some(axi)) = (pla, axi) else { return f.residual("scene in front of the camera", f64::NAN, 1.0) };
     let dual = forward::jacobian([0.0; 6], |x: [Dual; 6]| forward_losses(e, x));
-    let steps = std::array::from_fn(|k| if k < 3 { 1e-6 } else { 1e-6 * e.a.norm() });
-    let central = forward::central_extrapolated([0.0; 6], steps, |x: [f64; 6]| forward_losses(e, x));
+    let steps = std::array::from_fn(|k| 1.5e-4 * shortest * if k < 3 { 1.0 } else { e.a.norm() });
+    let central = forward::central([0.0; 6], steps, |x: [f64; 6]| forward_losses(e, x));
     let by_tape = [
         taped_gradient(e, Convention::AsPrinted, |pair| planar_form(pair, PlanarForm::Circular)).0,
         taped_gradient(e, Convention::AsPrinted, axial_smooth).0,

@@ -88,7 +88,9 @@ fn at(case: &Case, f: &mut Findings) {
     let matched = Match { target: case.pixel, source: case.pixel + flow, source_depth };
     let pixel = Pixel { camera: &case.camera, rotation: &case.motion.rotation, a, matched, direction };
     let aligned_depth = z + a.z;
-    for (way, r) in [("forward mode", pixel.forward(Plane::Axial)), ("tape", pixel.taped(Plane::Axial))] {
+    let closed = axial_response(&case.camera, &a, &case.pixel, z);
+    for (way, r) in [("forward mode", pixel.forward(Plane::Axial)), ("tape", pixel.taped(Plane::Axial)), ("closed form", closed)]
+    {
         let scale = r[0].hypot(r[1]);
         f.equal(&format!("J_wy - z' J_tx, {way}, relative"), r[1], aligned_depth * r[3], scale, 1e-9);
         f.equal(&format!("J_wx + z' J_ty, {way}, relative"), r[0], -aligned_depth * r[4], scale, 1e-9);

@@ -7,7 +7,7 @@ use crate::aligned_scene::AlignedScene;
 use crate::alignment::Match;
 use crate::camera::Intrinsics;
 use crate::flow::rigid::rigid_flow;
-use crate::ledger::forward;
+use crate::ledger::forward::{self, V2};
 use crate::ledger::{Case, Claim, Findings, Trial, Verdict};
 use crate::loss_forms::{axial, planar, radial, tangential};
 use crate::scenes::{self, Reference};
@@ -136,8 +136,8 @@ fn flipped(f: &mut Findings) {
     f.gap("loss of the flipped road with the old centre, rad", loss(&camera), 3.9e-3);
 }
 
-/// Angle from the radius to the axial flow when the assumed centre is `error` off; written out without the closed form.
-fn angle<N: Number>(case: &Case, m: &Match, error: [N; 2]) -> N {
+/// Radius and axial flow when the assumed centre is `error` off; written out without the closed form.
+fn seen<N: Number>(case: &Case, m: &Match, error: [N; 2]) -> [V2<N>; 2] {
     let (camera, a) = (&case.camera, case.in_target());
     let offset = |p: f64, centre: f64, k: usize| N::constant(p - centre) + error[k];
     let focal = [camera.fu, camera.fv].map(N::constant);
@@ -148,9 +148,13 @@ fn angle<N: Number>(case: &Case, m: &Match, error: [N; 2]) -> N {
     );
     let point = forward::difference(turned, forward::fixed([a.x, a.y, 0.0]));
     let d = [offset(m.target.x, camera.u0, 0), offset(m.target.y, camera.v0, 1)];
-    let flow = [0, 1].map(|k| focal[k] * point[k] / point[2] - d[k]);
-    // Measured from the true sense of the flow, where the angle does not jump.
-    let s = N::constant(-a.z.signum());
+    [d, [0, 1].map(|k| focal[k] * point[k] / point[2] - d[k])]
+}
+
+/// Angle from the radius to the axial flow, measured from the true sense of the flow, where it does not jump.
+fn angle<N: Number>(case: &Case, m: &Match, error: [N; 2]) -> N {
+    let [d, flow] = seen(case, m, error);
+    let s = N::constant(-case.in_target().z.signum());
     (s * (d[0] * flow[1] - d[1] * flow[0])).atan2(s * (d[0] * flow[0] + d[1] * flow[1]))
 }
 
@@ -167,8 +171,11 @@ fn at(case: &Case, f: &mut Findings) {
     let m = Match { target: case.pixel, source: case.pixel + flow, source_depth };
     let closed = principal_point_response(&case.camera, &case.motion.rotation, &a, &m);
     let closed = closed.unwrap_or(Vector2::repeat(f64::NAN));
-    // The flow's part of the response and the radius' part, of the size 1 / r, may cancel.
-    let scale = closed.amax().max(1.0 / d.norm());
+    // Flow and radius move by so much of their lengths for a pixel of error: only what is across turns them, but steps and
+    // rounding have to be measured against all of it.
+    let moves = forward::jacobian([0.0; 2], |e| seen(case, &m, e)[1]);
+    let [_, flow] = seen::<f64>(case, &m, [0.0; 2]);
+    let scale = moves.iter().map(|x| x * x).sum::<f64>().sqrt() / flow[0].hypot(flow[1]) + 1.0 / d.norm();
     let forward = forward::jacobian([0.0; 2], |e| [angle(case, &m, e)]);
     let central = forward::central_extrapolated([0.0; 2], [1e-4 / scale; 2], |e| [angle::<f64>(case, &m, e)]);
     f.derivative("d theta_axi / d centre", closed.as_slice(), Some(&forward), None, Some(&central), scale);
