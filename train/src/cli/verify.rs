@@ -9,7 +9,7 @@ use super::failure::Exit;
 use super::options::refuse_unless;
 use super::{output, summary};
 use crate::progress::Bar;
-use crate::report::ledger::{Verification, document};
+use crate::report::ledger::{Verification, document, recorded};
 use crate::run::verify::{self, PAGE, VerifyRequest};
 
 const LONG_ABOUT: &str = "\
@@ -28,7 +28,8 @@ Examples:
   dimode verify --id L28,L41           two claims in full: place, derivation, correction, every comparison
   dimode verify --samples 20000 --seed 7
   dimode verify --json > ledger.json
-  dimode verify --plots pictures       flow fields, decompositions and loss landscapes: pictures/index.html";
+  dimode verify --plots pictures       flow fields, decompositions and loss landscapes: pictures/index.html
+  dimode verify --poses poses/*.txt    claim L33 on motions of your own";
 
 /// Flags of `dimode verify`.
 #[derive(Debug, Args)]
@@ -49,8 +50,11 @@ pub struct VerifyArgs {
     /// Print everything that was found as JSON
     #[arg(long)]
     json: bool,
+    /// Instead of the claims: what the printed alignment costs on recorded motions (claim L33), from pose files in KITTI form
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["id", "samples", "seed", "plots"])]
+    poses: Vec<PathBuf>,
     /// Print docs/verification.md: all claims and what is compared, without numbers of this run
-    #[arg(long, conflicts_with_all = ["id", "samples", "seed", "plots", "json"])]
+    #[arg(long, conflicts_with_all = ["id", "samples", "seed", "plots", "json", "poses"])]
     markdown: bool,
 }
 
@@ -61,6 +65,15 @@ impl VerifyArgs {
             let found = verify::all(&Bar::new());
             output::text(&document(&found))?;
             return exit(&found);
+        }
+        if !self.poses.is_empty() {
+            let found = verify::recorded(&self.poses)?;
+            if self.json {
+                output::json(&found)?
+            } else {
+                output::text(&recorded(&found))?
+            }
+            return Ok(Exit::Done);
         }
         let advice = "a check needs at least one case";
         refuse_unless(self.samples > 0, || format!("--samples {}", self.samples), advice)?;

@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use dimode_geometry::ledger::{self, Claim, Settings};
+use dimode_geometry::motion_statistics::{MotionStatistics, StatisticsOptions, motion_statistics};
+use dimode_geometry::{Trajectory, scenes};
 use thiserror::Error;
 
 use crate::config::nearest;
@@ -109,6 +111,16 @@ pub fn verify(request: &VerifyRequest, progress: &dyn Progress) -> Result<Verifi
 
 /// The page that shows all pictures.
 pub const PAGE: &str = "index.html";
+
+/// Statistics of recorded motions (claim L33): the files hold poses in KITTI form, each a trajectory; losses are taken over the
+/// reference road's grid of a 640x192 camera.
+///
+/// **Errors** [`dimode_geometry::GeometryError`] for a file that cannot be read, and when nothing moves.
+pub fn recorded(files: &[PathBuf]) -> Result<MotionStatistics> {
+    let trajectories: Vec<_> = files.iter().map(|file| Trajectory::read_kitti(file)).collect::<Result<_, _>>()?;
+    let scene = scenes::road();
+    Ok(motion_statistics(&trajectories, &scene.camera, &scene.offsets(), &StatisticsOptions::default())?)
+}
 
 /// All claims with default settings.
 pub fn all(progress: &dyn Progress) -> Verification {

@@ -103,3 +103,21 @@ fn a_document_has_no_choices() {
         assert!(ran.err.contains("cannot be used with"), "{}", ran.err);
     }
 }
+
+#[test]
+fn recorded_motions_are_measured() {
+    let place = tempfile::tempdir().unwrap();
+    let (straight, still) = (place.path().join("straight.txt"), place.path().join("still.txt"));
+    let pose = |z: f64| format!("1 0 0 0.02 0 1 0 0 0 0 1 {z}\n");
+    fs::write(&straight, (0..5).map(|i| pose(f64::from(i))).collect::<String>()).unwrap();
+    fs::write(&still, pose(0.0).repeat(5)).unwrap();
+    let told = dimode(&["verify", "--poses", text(&straight)]).succeeded();
+    assert!(told.contains("pairs that move more than 0.1: 8; of them turn more than 1 deg: 0"), "{told}");
+    assert!(told.contains("100.0 % of 3"), "{told}");
+    let found: serde_json::Value =
+        serde_json::from_str(&dimode(&["verify", "--json", "--poses", text(&straight), text(&straight)]).succeeded()).unwrap();
+    assert_eq!((found["pairs"].as_u64(), found["triplets"].as_u64()), (Some(16), Some(6)));
+    assert_eq!(found["axial_loss"]["max"].as_f64(), Some(0.0), "{found}");
+    dimode(&["verify", "--poses", text(&still)]).refused(1, &["no two neighbouring frames are more than 0.1 apart"]);
+    dimode(&["verify", "--poses", text(&place.path().join("none.txt"))]).refused(1, &["none.txt"]);
+}

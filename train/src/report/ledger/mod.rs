@@ -3,6 +3,7 @@
 mod document;
 mod entry;
 mod json;
+mod recorded;
 mod sources;
 mod table;
 mod words;
@@ -10,6 +11,7 @@ mod words;
 use dimode_geometry::ledger::{Claim, Outcome, Settings, Verdict};
 
 pub use document::document;
+pub use recorded::recorded;
 pub use sources::{check_file, function_file};
 
 /// A claim with what its check found.
