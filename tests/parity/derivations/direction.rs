@@ -101,7 +101,11 @@ fn noise_floor(e: &Entry) {
 /// Printed, sign-aware and unsigned axial loss with an error of `t_x`.
 fn axial_losses(reference: &Reference, t_x: f64) -> [f64; 3] {
     let s = AlignedScene::with_error(reference, &[0.0, 0.0, 0.0, t_x, 0.0, 0.0]).unwrap();
-    [axial::printed(&s.axial, &s.offsets), axial::pose_sign(&s.axial, &s.offsets, s.a.z), axial::folded(&s.axial, &s.offsets)]
+    [
+        axial::printed(&s.axial, &s.offsets),
+        axial::pose_sign(&s.axial, &s.offsets, s.translation.z),
+        axial::folded(&s.axial, &s.offsets),
+    ]
 }
 
 fn snippet(e: &Entry) {
@@ -151,9 +155,9 @@ fn finite_errors(e: &Entry) {
         let found = [
             planar::circular(&s.planar),
             planar::printed(&s.planar),
-            axial::pose_sign(&s.axial, &s.offsets, s.a.z),
-            tangential::printed(camera, &s.planar, depths, &s.a),
-            radial::printed(&s.axial, &s.offsets, depths, &s.a),
+            axial::pose_sign(&s.axial, &s.offsets, s.translation.z),
+            tangential::printed(camera, &s.planar, depths, &s.translation),
+            radial::printed(&s.axial, &s.offsets, depths, &s.translation),
         ];
         e.check_within(&format!("rows/{k}"), &found, 1e-11);
     }
