@@ -215,7 +215,8 @@ mod tests {
         for part in [
             "| [L09](#l09-rot-flow-inline) | text after eq. rotational\\_flow |",
             "### L20 grad-tz",
-            "| `grad_tz` | [`flow::gradients::translational_gradients`](../geometry/src/flow/gradients.rs) | [L20](#l20-grad-tz) |",
+            "| `grad_tz` | [`flow::gradients::translational_gradients`](../geometry/src/flow/gradients.rs)",
+            "[L20](#l20-grad-tz) |",
             "Correction: Both expansions need a minus in front.",
             "| derivative df/dt\\_z: forward mode, tape, central differences | at most | 1e-9, 1e-6 |",
             "| at least | 900 |",
