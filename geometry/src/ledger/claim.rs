@@ -61,6 +61,10 @@ pub struct Claim {
     pub correction: Option<&'static str>,
     /// Functions that compute it, as paths in this crate (`flow::radial::radial_flow`).
     pub functions: &'static [&'static str],
+    /// The differentiable operations and losses of the same, as paths in this crate (`taped::rigid_flow::rigid_flow`).
+    pub taped: &'static [&'static str],
+    /// Why a way to one of its derivatives is not taken.
+    pub missing_way: Option<&'static str>,
     /// Compares.
     pub check: fn(&mut Trial),
 }
@@ -193,6 +197,8 @@ mod tests {
             counter_example: None,
             correction: None,
             functions: &[],
+            taped: &[],
+            missing_way: None,
             check,
         }
     }

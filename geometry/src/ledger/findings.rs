@@ -12,6 +12,10 @@ pub enum Kind {
     Documented,
     /// The largest must be at least the bound: one counter-example is enough.
     Gap,
+    /// An inequality that the statement itself makes: the largest must be at most the bound, and may come close to it.
+    Bound,
+    /// The smallest must be at least the bound: no sample may fall below.
+    Floor,
 }
 
 /// The worst of one kind of comparison over all samples.
@@ -34,8 +38,8 @@ impl Finding {
     #[must_use]
     pub fn ok(&self) -> bool {
         match self.kind {
-            Kind::Residual | Kind::Documented => self.worst <= self.bound,
-            Kind::Gap => self.worst >= self.bound,
+            Kind::Residual | Kind::Documented | Kind::Bound => self.worst <= self.bound,
+            Kind::Gap | Kind::Floor => self.worst >= self.bound,
         }
     }
 
@@ -110,7 +114,7 @@ impl Findings {
         match self.findings.iter_mut().find(|f| f.what == what && f.kind == kind) {
             Some(found) => {
                 assert!(found.bound == bound, "one bound for '{what}': {} and {bound}", found.bound);
-                found.worst = worse(value, found.worst);
+                found.worst = if kind == Kind::Floor { -worse(-value, -found.worst) } else { worse(value, found.worst) };
                 found.count += 1;
             }
             None => self.findings.push(Finding { what: what.to_owned(), kind, worst: value, bound, count: 1 }),
@@ -130,10 +134,26 @@ impl Findings {
         self.residual(what, if a == b && a.is_finite() { 0.0 } else { (a - b) / scale }, tolerance);
     }
 
-    /// A number documented with `digits` decimals or relative precision: `|a - b| <= 1e-9 + relative |b|`, counted in units of
-    /// that bound.
+    /// A number written down somewhere: `|a - b| <= relative |b|`, counted in units of that precision.
+    ///
+    /// A written 0 allows 1e-9. For another absolute precision see [`Findings::documented_within`].
     pub fn documented(&mut self, what: &str, a: f64, b: f64, relative: f64) {
-        self.add(Kind::Documented, what, ((a - b) / (1e-9 + relative * b.abs())).abs(), 1.0);
+        self.documented_within(what, a, b, if b == 0.0 { 1e-9 } else { relative * b.abs() });
+    }
+
+    /// A number written down with an absolute precision: `|a - b| <= precision`, counted in units of it.
+    pub fn documented_within(&mut self, what: &str, a: f64, b: f64, precision: f64) {
+        self.add(Kind::Documented, what, ((a - b) / precision).abs(), 1.0);
+    }
+
+    /// An inequality of the statement: `value <= at_most` in every sample, by right and not by rounding.
+    pub fn bound(&mut self, what: &str, value: f64, at_most: f64) {
+        self.add(Kind::Bound, what, value, at_most);
+    }
+
+    /// `value >= at_least` in every sample.
+    pub fn floor(&mut self, what: &str, value: f64, at_least: f64) {
+        self.add(Kind::Floor, what, value, at_least);
     }
 
     /// How far a statement is from true: the largest over all samples must reach `at_least`.
@@ -183,7 +203,7 @@ impl Findings {
     #[must_use]
     pub fn violations(&self) -> Vec<String> {
         let residuals = self.findings.iter().filter(|f| f.kind != Kind::Gap && !f.ok());
-        let residuals = residuals.map(|f| format!("{}: {:.3e}, tolerance {:.1e}", f.what, f.worst, f.bound));
+        let residuals = residuals.map(|f| format!("{}: {:.3e}, bound {:.1e}", f.what, f.worst, f.bound));
         let derivatives = self.agreements.iter().filter(|a| !a.ok());
         let derivatives = derivatives
             .map(|a| format!("derivative {}: forward {:?}, tape {:?}, central {:?}", a.what, a.forward, a.tape, a.central));
@@ -215,6 +235,21 @@ mod tests {
         assert_eq!((found.kind, found.bound, found.ok()), (Kind::Documented, 1.0, true));
         f.documented("a number", 2.5003, 2.5, 1e-4);
         assert!(!f.findings()[0].ok() && f.violations().len() == 1);
+    }
+
+    #[test]
+    fn a_floor_keeps_the_smallest_and_a_bound_the_largest() {
+        let mut f = Findings::default();
+        for value in [3.0, 1.0, 2.0] {
+            f.floor("long enough", value, 1.5);
+            f.bound("short enough", value, 3.0);
+        }
+        assert_eq!([f.findings()[0].worst, f.findings()[1].worst], [1.0, 3.0]);
+        assert_eq!(f.findings().iter().map(Finding::ok).collect::<Vec<_>>(), [false, true]);
+        assert_eq!(f.violations().len(), 1);
+        f.floor("finite", f64::NAN, 0.0);
+        f.floor("finite", 5.0, 0.0);
+        assert!(!f.findings()[2].ok());
     }
 
     #[test]

@@ -17,6 +17,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["camera::Intrinsics::ray", "camera::Intrinsics::matrix", "camera::Intrinsics::inverse_matrix"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -26,6 +26,8 @@ pub(super) static CLAIM: Claim = Claim {
         "T of eq. p_s leads from target to source; where source points are moved, its inverse, of rotation R^T and translation -R^T t.",
     ),
     functions: &["se3::Se3::transform", "se3::Se3::inverse", "se3::Se3::translation_in_from_frame", "flow::rigid::rigid_flow"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

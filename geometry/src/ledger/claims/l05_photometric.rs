@@ -26,6 +26,8 @@ pub(super) static CLAIM: Claim = Claim {
         "photometric::dissimilarity",
         "photometric::photometric_error",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -25,6 +25,8 @@ pub(super) static CLAIM: Claim = Claim {
         "motion::translation_gap",
         "motion::translation_gap_first_order",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

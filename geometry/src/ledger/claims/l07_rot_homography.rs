@@ -19,6 +19,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["homography::rotation_homography", "homography::transfer"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

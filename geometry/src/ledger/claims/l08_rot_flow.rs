@@ -20,6 +20,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["flow::rotational::rotational_flow", "flow::rotational::quadratic_terms"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

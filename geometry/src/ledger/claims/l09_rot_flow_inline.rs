@@ -22,6 +22,8 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("Both expansions need a minus in front."),
     functions: &["flow::rotational::quadratic_terms", "flow::rotational::printed_quadratic_terms"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

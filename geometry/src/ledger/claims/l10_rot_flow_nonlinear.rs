@@ -26,6 +26,8 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("Yaw and pitch look like a uniform shift with a smooth deviation of 8 to 19 %; roll is affine."),
     functions: &["flow::rotational::rotational_bend", "flow::uniformity::uniformity", "flow::uniformity::second_difference"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -22,6 +22,8 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("Beyond about 0.01 rad use the full rotational flow."),
     functions: &["flow::rotational::rotational_flow_first_order", "flow::rotational::rotational_flow"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -33,6 +33,8 @@ pub(super) static CLAIM: Claim = Claim {
         "flow::rigid::rigid_flow_by_parts",
         "so3::commutator",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -20,6 +20,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["flow::tangential::tangential_flow", "flow::tangential::focal_scaled"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

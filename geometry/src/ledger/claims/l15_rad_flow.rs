@@ -18,6 +18,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["flow::radial::radial_flow"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

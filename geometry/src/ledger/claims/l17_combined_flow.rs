@@ -32,6 +32,8 @@ pub(super) static CLAIM: Claim = Claim {
         "flow::rigid::rigid_flow_by_parts",
         "flow::gradients::rigid_gradients",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -19,6 +19,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["flow::gradients::translational_gradients", "flow::gradients::rigid_gradients"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

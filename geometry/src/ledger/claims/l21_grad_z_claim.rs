@@ -30,6 +30,8 @@ pub(super) static CLAIM: Claim = Claim {
         "flow::gradients::depth_gradient_at_principal_point",
         "flow::translational::focus_of_expansion",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -35,6 +35,8 @@ pub(super) static CLAIM: Claim = Claim {
         "flow::gradients::tangential_influence",
         "flow::gradients::tangential_influence_radius",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -20,6 +20,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["motion::MotionParts::in_source_frame", "motion::remaining_radial", "motion::remaining_tangential"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

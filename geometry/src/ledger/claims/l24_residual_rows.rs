@@ -23,6 +23,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["deviation::residual_rows", "deviation::residual_products", "deviation::partly_moved_points"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -37,6 +37,8 @@ pub(super) static CLAIM: Claim = Claim {
         "deviation::rotation_flow_size",
         "deviation::induced_flow_size",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -21,6 +21,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["motion::remaining_radial", "motion::remaining_tangential"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

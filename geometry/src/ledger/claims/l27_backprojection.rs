@@ -32,6 +32,8 @@ pub(super) static CLAIM: Claim = Claim {
         "backprojection::DepthCell::by_depth",
         "backprojection::DepthCell::by_inverse_depth",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -44,6 +44,8 @@ pub(super) static CLAIM: Claim = Claim {
         "alignment::printed::tangential_ratio_factors",
         "alignment::printed::radial_ratio_error_first_order",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -20,6 +20,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["alignment::Convention::translation", "alignment::planar", "alignment::axial", "taped::align"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

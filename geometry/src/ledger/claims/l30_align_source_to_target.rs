@@ -28,6 +28,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["alignment::corrections::source_to_target", "se3::Se3::inverse"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -31,6 +31,8 @@ pub(super) static CLAIM: Claim = Claim {
         "alignment::corrections::moved_target",
         "deviation::rotated_target_residual",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -34,6 +34,8 @@ pub(super) static CLAIM: Claim = Claim {
         "alignment::printed::pixel_terms",
         "scenes::families::Family::motion",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -35,6 +35,8 @@ pub(super) static CLAIM: Claim = Claim {
         "alignment::printed::axial_loss",
         "alignment::printed::planar_loss",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -23,6 +23,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["deviation::alignment_residual", "deviation::alignment_products"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -22,6 +22,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["alignment::planar_jacobian", "alignment::axial_jacobian", "taped::align"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -29,6 +29,8 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::planar::gradients::arccos_slope",
         "loss_forms::planar::gradients::printed",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

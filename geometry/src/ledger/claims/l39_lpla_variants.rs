@@ -34,6 +34,8 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::planar::gradients::unfolded",
         "loss_forms::planar::gradients::perpendicular",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -26,6 +26,8 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("Leave out pairs whose predicted tangential flow is short against the noise."),
     functions: &["noise::planar_angle_variance"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -26,6 +26,8 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::axial::folded",
         "loss_forms::axial::flow_sign",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

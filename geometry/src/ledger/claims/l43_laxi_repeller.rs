@@ -27,6 +27,8 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("The sign-aware angle rises with the error for both sources."),
     functions: &["loss_forms::axial::printed", "loss_forms::axial::pose_sign", "sensitivity::axial_response"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -36,6 +36,8 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::axial::gradients::smooth",
         "loss_forms::axial::gradients::perpendicular",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -24,6 +24,8 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("Leave out pairs whose radial translation is small against the depth."),
     functions: &["noise::axial_angle_mean"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

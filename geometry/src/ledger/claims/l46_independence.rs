@@ -40,6 +40,8 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::planar::gradients::circular",
         "loss_forms::axial::gradients::smooth",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -36,6 +36,8 @@ pub(super) static CLAIM: Claim = Claim {
         "sensitivity::mean_magnitude",
         "sensitivity::root_mean_square",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -26,6 +26,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["sensitivity::axial_response", "observability::correlation"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -35,6 +35,8 @@ pub(super) static CLAIM: Claim = Claim {
         "observability::rotation_visibility",
         "observability::correlation",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -39,6 +39,8 @@ pub(super) static CLAIM: Claim = Claim {
         "sensitivity::principal_point_response",
         "camera::Intrinsics::flipped_horizontal",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

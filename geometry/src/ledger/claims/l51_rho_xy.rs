@@ -23,6 +23,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["ratios::tangential_ratios", "ratios::inverse_tangential_ratios"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

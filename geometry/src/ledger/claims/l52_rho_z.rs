@@ -24,6 +24,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["ratios::radial_ratio", "ratios::inverse_radial_ratio", "ratios::radial_ratio_of_component"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -17,6 +17,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["recovery::translation", "ratios::recovered_translation"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -21,6 +21,8 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::tangential::printed_terms",
         "loss_forms::radial::printed_terms",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -38,6 +38,8 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::tangential::flow_pixels",
         "loss_forms::tangential::flow_pixels_slopes",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -32,6 +32,8 @@ pub(super) static CLAIM: Claim = Claim {
         "ledger::estimates::PlainLosses::new",
         "ledger::estimates::taped_loss",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

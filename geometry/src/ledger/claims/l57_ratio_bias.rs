@@ -35,6 +35,8 @@ pub(super) static CLAIM: Claim = Claim {
         "ratio_bias::median_offset_second_order",
         "ratio_bias::PixelError::minimiser",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -27,6 +27,8 @@ pub(super) static CLAIM: Claim = Claim {
         "ratio_bias::radial_recovery_bias",
         "ratio_bias::radial_recovery_bias_second_order",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -27,6 +27,8 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::ratio_terms::pixel_term_slope",
         "loss_forms::ratio_terms::pixel_term_log_slope",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

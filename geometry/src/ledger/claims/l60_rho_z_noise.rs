@@ -39,6 +39,8 @@ pub(super) static CLAIM: Claim = Claim {
         "ratio_noise::sign_flip_probability",
         "ratio_noise::least_radius",
     ],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

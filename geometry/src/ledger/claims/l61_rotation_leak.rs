@@ -29,6 +29,8 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: None,
     functions: &["recovery::rotation_leak", "recovery::translation"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

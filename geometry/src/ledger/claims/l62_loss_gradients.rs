@@ -26,6 +26,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["ledger::forward::pipeline::losses", "ledger::estimates::taped_loss", "ledger::estimates::PlainLosses::new"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

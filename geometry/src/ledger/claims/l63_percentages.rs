@@ -16,6 +16,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["reported::reduction_percent"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

@@ -18,6 +18,8 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: Some("39,810 lines against 39,180 in the text; DF-VO has 6.57 in the column in which 9.74 is bold."),
     correction: Some("39,810 training triplets; bold belongs to 6.57."),
     functions: &["reported::exchanged_digits"],
+    taped: &[],
+    missing_way: None,
     check,
 };
 

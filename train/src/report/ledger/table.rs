@@ -130,6 +130,8 @@ pub fn asked(found: &Finding) -> &'static str {
     match found.kind {
         Kind::Residual => "at most",
         Kind::Documented => "documented",
+        Kind::Bound => "bound",
+        Kind::Floor => "all above",
         Kind::Gap => "at least",
     }
 }
