@@ -169,7 +169,7 @@ impl Claim {
 /// The claim with this id (`L28`, `28`) or short name.
 #[must_use]
 pub fn find(name: &str) -> Option<&'static Claim> {
-    let number = |id: &str| id.trim_start_matches(['L', 'l']).parse::<u32>().ok();
+    let number = |id: &str| id.strip_prefix(['L', 'l']).unwrap_or(id).parse::<u32>().ok();
     let wanted = number(name);
     super::all().iter().copied().find(|c| c.slug == name || (wanted.is_some() && number(c.id) == wanted))
 }

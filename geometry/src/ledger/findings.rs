@@ -203,7 +203,7 @@ impl Findings {
     #[must_use]
     pub fn violations(&self) -> Vec<String> {
         let residuals = self.findings.iter().filter(|f| f.kind != Kind::Gap && !f.ok());
-        let residuals = residuals.map(|f| format!("{}: {:.3e}, bound {:.1e}", f.what, f.worst, f.bound));
+        let residuals = residuals.map(|f| format!("{}: {:.3e}, tolerance {:.1e}", f.what, f.worst, f.bound));
         let derivatives = self.agreements.iter().filter(|a| !a.ok());
         let derivatives = derivatives
             .map(|a| format!("derivative {}: forward {:?}, tape {:?}, central {:?}", a.what, a.forward, a.tape, a.central));

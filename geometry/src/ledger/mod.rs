@@ -17,6 +17,7 @@
 
 mod claim;
 mod claims;
+mod equations;
 pub mod estimates;
 mod findings;
 mod flow_gradients;
@@ -30,6 +31,7 @@ mod trial;
 
 pub use claim::{Claim, Outcome, Settings, Verdict, find, verify};
 pub use claims::all;
+pub use equations::{EQUATIONS, Equation};
 pub use findings::{Agreement, Finding, Findings, Kind};
 pub use sampling::{Case, DIMENSIONS, Draw, EXTRA};
 pub use trial::Trial;

@@ -283,6 +283,37 @@ mod tests {
     use dimode_autodiff::gradcheck::{random, weighted_sum};
     use dimode_autodiff::{GradCheck, Tape, gradcheck};
 
+    /// The window of 3x3 colours around an inner pixel of a channel.
+    fn window(image: &Tensor<f64>, c: usize, [v, u]: [usize; 2]) -> Vec<f64> {
+        (0..9).map(|i| image.at(0, c, v + i / 3 - 1, u + i % 3 - 1)).collect()
+    }
+
+    #[test]
+    fn inner_pixels_have_the_error_and_the_gradient_of_the_closed_form() {
+        use dimode_geometry::photometric::{ALPHA, C1, C2, Moments, channel_error_gradient, photometric_error};
+        let shape = Shape::new(1, 3, 5, 7);
+        let images = [1, 2].map(|seed| random::<f64>(seed, shape, 0.0, 1.0));
+        let tape = Tape::new();
+        let warped = tape.leaf(images[0].clone());
+        let error = photometric(warped, tape.constant(images[1].clone()));
+        for (v, u) in (1..4).flat_map(|v| (1..6).map(move |u| (v, u))) {
+            let pairs = [0, 1, 2].map(|c| [&images[0], &images[1]].map(|image| window(image, c, [v, u])));
+            let similarities = pairs.each_ref().map(|[x, y]| Moments::of(x, y).similarity(C1, C2));
+            let differences = pairs.each_ref().map(|[x, y]| x[4] - y[4]);
+            let expected = photometric_error(&similarities, &differences, ALPHA);
+            assert!((error.value().at(0, 0, v, u) - expected).abs() < 1e-12, "value at ({v}, {u})");
+            let picked = Tensor::from_fn(error.shape(), |_, _, y, x| f64::from(u8::from((y, x) == (v, u))));
+            let gradients = tape.backward(error.mul(tape.constant(picked)).sum());
+            for (c, [x, y]) in pairs.iter().enumerate() {
+                let closed = channel_error_gradient(x, y, 4, ALPHA);
+                let found = window(&gradients.wrt(warped), c, [v, u]);
+                // The channels share the error.
+                let off = closed.iter().zip(&found).map(|(a, b)| (a / 3.0 - b).abs()).fold(0.0, f64::max);
+                assert!(off < 1e-10, "gradient at ({v}, {u}), channel {c}: {off:e}");
+            }
+        }
+    }
+
     #[test]
     fn constant_images_have_the_worked_value() {
         let shape = Shape::new(1, 3, 4, 5);

@@ -91,11 +91,10 @@ fn unknown(name: &str) -> UnknownClaim {
 /// Checks the claims, at the same time where threads are free, and draws the pictures that are asked for. The result does not
 /// depend on the number of threads; how long it took is told to `progress`.
 ///
-/// **Errors** [`crate::data::DataError`] for a folder that is occupied, before anything is checked, and for what the system refuses;
+/// **Errors** [`crate::data::DataError`] for a folder that is occupied or cannot be written, before anything is checked;
 /// contradicted verdicts are no errors here: see [`stands`].
 pub fn verify(request: &VerifyRequest, progress: &dyn Progress) -> Result<Verification> {
     let staging = request.plots.as_deref().map(|folder| Staging::new(folder, Earlier::Keep)).transpose()?;
-    let found = check(&request.claims, request.settings, progress);
     if let Some(staging) = staging {
         staging.fill(|folder| -> Result<()> {
             let figures = figures::all();
@@ -106,7 +105,7 @@ pub fn verify(request: &VerifyRequest, progress: &dyn Progress) -> Result<Verifi
             Ok(())
         })?;
     }
-    Ok(found)
+    Ok(check(&request.claims, request.settings, progress))
 }
 
 /// The page that shows all pictures.

@@ -13,7 +13,7 @@ fn few(more: &[&str]) -> crate::Ran {
 fn the_table_has_a_row_for_every_claim_and_a_last_line() {
     let ran = dimode(&["verify", "--samples", "8"]);
     assert!(ran.err.contains("checked in"), "{}", ran.err);
-    for word in ["Claims of the paper", "L01", "rot-flow-inline", "df/dt_z", "tolerance", "misses by", "forward mode"] {
+    for word in ["Claims of the paper", "L01", "text after eq.", "df/dt_z", "tolerance", "misses by", "forward mode"] {
         assert!(ran.out.contains(word), "'{word}' is not in {}", ran.out);
     }
     let last = ran.out.lines().last().unwrap();

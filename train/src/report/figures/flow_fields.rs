@@ -75,7 +75,7 @@ pub(super) fn fields(scene: &Scene) -> [Field; 7] {
         }),
         field("Radial, source ahead", "t_z = -0.8 m: away from p0", scene, |p, z| radial_flow(camera, -0.8, p, z)),
         field("Radial, source behind", "t_z = 0.8 m: toward p0", scene, |p, z| radial_flow(camera, 0.8, p, z)),
-        field("All at once", "0.3, -0.6, 1.0 deg; t = (0.25, -0.1, -0.8) m: no common law", scene, |p, z| {
+        field("All at once", "w = (0.3, -0.6, 1.0) deg, t = (0.25, -0.1, -0.8) m: no common law", scene, |p, z| {
             Some(rigid_flow(camera, &mixture, p, z)?.0)
         }),
     ]

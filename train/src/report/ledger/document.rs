@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use dimode_geometry::ledger::{Agreement, Claim};
+use dimode_geometry::ledger::{Agreement, Claim, EQUATIONS};
 
 use super::words::{brief, shortened};
 use super::{Judged, Verification, check_file, function_file, table};
@@ -25,8 +25,10 @@ cargo run --release -- verify --plots pictures  # flow fields, decompositions, l
   **fails**: not true as printed; a counter-example and what is true instead are given. **measured**: a number of real data, whose formula is
   checked.
 - A check draws cameras, pixels, depths and motions from a seed, takes every fourth case to a limit (no rotation, no radial
-  translation, a pixel at the principal point), and compares. *At most*: residuals that must vanish up to rounding. *Documented*: numbers
-  known to many digits, whose precision is the bound 1. *At least*: how far a statement must be from true where it does not hold.
+  translation, a pixel at the principal point), and compares. *At most*: residuals that must vanish up to rounding. *Documented*: a
+  deviation from a written number, divided by the precision that number is known to, so at most 1. *Bound*: an inequality that the
+  statement itself makes, which samples may come close to. *All above*: no sample may fall below. *At least*: how far a statement must be
+  from true where it does not hold; one counter-example is enough.
   Should a printed form hold after all, its verdict falls.
 - Derivatives are found in up to four ways: closed form, forward mode (a second implementation that shares no code with the
   first), the tape that training uses, and central differences. The first three agree to 1e-9 of the scale of the derivative, the last
@@ -60,60 +62,41 @@ fn index(found: &Verification) -> String {
     text
 }
 
-/// Where the equations of the paper are in the code: one row a label, in the order of the claims.
+/// Where the equations of the paper are in the code: one row an equation.
 fn equations(found: &Verification) -> String {
-    let mut rows: Vec<(String, Vec<&Claim>)> = Vec::new();
-    for Judged { claim, .. } in &found.judged {
-        for label in labels(claim.place) {
-            match rows.iter_mut().find(|(known, _)| *known == label) {
-                Some((_, claims)) => claims.push(claim),
-                None => rows.push((label, vec![claim])),
-            }
-        }
-    }
     let mut text =
-        "\n## Where is which equation\n\nLabels are those of the paper's source. Paths begin in the crate `dimode_geometry`.\n\n"
+        "\n## Where is which equation\n\nLabels are those of the paper's source; in brackets: equations without label. Paths \
+                    begin in the crate `dimode_geometry`. The file of a claim holds its check and its property tests.\n\n"
             .to_owned();
-    text += "| equation | functions | claims |\n|---|---|---|\n";
-    for (label, claims) in rows {
-        let mut functions: Vec<&str> = Vec::new();
-        for function in claims.iter().flat_map(|c| c.functions) {
-            if !functions.contains(function) {
-                functions.push(function);
-            }
-        }
-        let functions: Vec<String> = functions.into_iter().map(function_link).collect();
-        let claims: Vec<String> = claims.into_iter().map(link).collect();
-        let _ = writeln!(text, "| `{label}` | {} | {} |", functions.join("<br>"), claims.join(", "));
+    text +=
+        "| equation | gives | closed form | on the tape | claims and verdicts | check and tests |\n|---|---|---|---|---|---|\n";
+    for equation in EQUATIONS {
+        let links = |paths: &[&str]| paths.iter().map(|path| function_link(path)).collect::<Vec<_>>().join("<br>");
+        let judged: Vec<&Claim> = equation.claims.iter().filter_map(|id| claim_of(found, id)).collect();
+        let Some(chief) = judged.first() else { continue };
+        let verdicts: Vec<String> = judged.iter().map(|claim| format!("{} {}", link(claim), claim.verdict.word())).collect();
+        let (check, on_tape) = (check_file(chief), links(equation.taped));
+        let name = check.rsplit('/').next().unwrap_or_default();
+        let _ = writeln!(
+            text,
+            "| `{}` | {} | {} | {} | {} | [{name}](../{check}) |",
+            equation.label,
+            plain(equation.gives),
+            links(equation.functions),
+            if on_tape.is_empty() { "-" } else { &on_tape },
+            verdicts.join("<br>"),
+        );
     }
     text
 }
 
-/// Labels of equations in a place: the word after `eq.` or `eqs.`, and those that a comma ties to it. `_2` behind a comma is
-/// the label before it with that ending.
-fn labels(place: &str) -> Vec<String> {
-    let words: Vec<&str> = place.split_whitespace().collect();
-    let mut found: Vec<String> = Vec::new();
-    // Whether a label may follow, and whether it is the first of its list.
-    let (mut listing, mut first) = (false, false);
-    for (i, word) in words.iter().enumerate() {
-        let bare = word.trim_end_matches(|c: char| !c.is_alphanumeric());
-        if ["eq.", "eqs."].contains(&word.to_lowercase().as_str()) {
-            (listing, first) = (true, true);
-            continue;
-        }
-        let ends_here = i + 1 == words.len() || word.ends_with([',', ';', '.', ':']);
-        if listing && (first || ends_here) {
-            let ending = bare.strip_prefix('_').zip(found.last()).map(|(end, before)| format!("{before}_{end}"));
-            found.push(ending.unwrap_or_else(|| bare.to_owned()));
-        }
-        (listing, first) = (listing && word.ends_with(','), false);
-    }
-    found
+fn claim_of<'a>(found: &'a Verification, id: &str) -> Option<&'a Claim> {
+    found.judged.iter().map(|judged| &judged.claim).find(|claim| claim.id == id)
 }
 
 fn link(claim: &Claim) -> String {
-    format!("[{}](#{}-{})", claim.id, claim.id.to_lowercase(), claim.slug)
+    // Anchors are lower case.
+    format!("[{}](#{}-{})", claim.id, claim.id.to_lowercase(), claim.slug.to_lowercase())
 }
 
 fn function_link(path: &str) -> String {
@@ -135,6 +118,13 @@ fn section(judged: &Judged) -> String {
     let functions: Vec<String> = claim.functions.iter().map(|f| function_link(f)).collect();
     let check = check_file(claim);
     let _ = writeln!(text, "\nFunctions: {}. Check and property tests: [{check}](../{check}).", functions.join(", "));
+    if !claim.taped.is_empty() {
+        let taped: Vec<String> = claim.taped.iter().map(|f| function_link(f)).collect();
+        let _ = writeln!(text, "\nOn the tape: {}.", taped.join(", "));
+    }
+    if let Some(reason) = claim.missing_way {
+        let _ = writeln!(text, "\nA way that is not taken: {}", plain(reason));
+    }
     text + &compared(judged)
 }
 
@@ -184,6 +174,36 @@ mod tests {
     use super::super::tests::verification;
     use super::*;
 
+    /// Labels of equations in a place: the word after `eq.` or `eqs.`, and those that a comma ties to it. `_2` behind a comma is
+    /// the label before it with that ending.
+    fn labels(place: &str) -> Vec<String> {
+        let words: Vec<&str> = place.split_whitespace().collect();
+        let mut found: Vec<String> = Vec::new();
+        // Whether a label may follow, and whether it is the first of its list.
+        let (mut listing, mut first) = (false, false);
+        for (i, word) in words.iter().enumerate() {
+            let bare = word.trim_end_matches(|c: char| !c.is_alphanumeric());
+            if ["eq.", "eqs."].contains(&word.to_lowercase().as_str()) {
+                (listing, first) = (true, true);
+                continue;
+            }
+            let ends_here = i + 1 == words.len() || word.ends_with([',', ';', '.', ':']);
+            if listing && (first || ends_here) {
+                let ending = bare.strip_prefix('_').zip(found.last()).map(|(end, before)| format!("{before}_{end}"));
+                found.push(ending.unwrap_or_else(|| bare.to_owned()));
+            }
+            (listing, first) = (listing && word.ends_with(','), false);
+        }
+        found
+    }
+
+    #[test]
+    fn every_equation_that_a_claim_names_has_a_row() {
+        for label in dimode_geometry::ledger::all().iter().flat_map(|claim| labels(claim.place)) {
+            assert!(EQUATIONS.iter().any(|equation| equation.label == label), "{label} is not in ledger/equations.rs");
+        }
+    }
+
     #[test]
     fn labels_of_places() {
         assert_eq!(labels("eq. grad_tz"), ["grad_tz"]);
@@ -215,8 +235,8 @@ mod tests {
         for part in [
             "| [L09](#l09-rot-flow-inline) | text after eq. rotational\\_flow |",
             "### L20 grad-tz",
-            "| `grad_tz` | [`flow::gradients::translational_gradients`](../geometry/src/flow/gradients.rs)",
-            "[L20](#l20-grad-tz) |",
+            "| `grad_tz` | df/dt\\_z | [`flow::gradients::translational_gradients`](../geometry/src/flow/gradients.rs)",
+            "| [L20](#l20-grad-tz) exact | [l20_grad_tz.rs](../geometry/src/ledger/claims/l20_grad_tz.rs) |",
             "Correction: Both expansions need a minus in front.",
             "| derivative df/dt\\_z: forward mode, tape, central differences | at most | 1e-9, 1e-6 |",
             "| at least | 900 |",

@@ -27,8 +27,10 @@ pub fn entry(judged: &Judged) -> String {
             text += &part(name, &wrapped(content, WIDTH));
         }
     }
-    let functions: Vec<String> = claim.functions.iter().map(|f| format!("{f} ({})", function_file(f))).collect();
-    text += &part("functions", &functions);
+    let located = |paths: &[&str]| paths.iter().map(|f| format!("{f} ({})", function_file(f))).collect::<Vec<_>>();
+    text += &part("functions", &located(claim.functions));
+    text += &part("on the tape", &located(claim.taped));
+    text += &part("missing way", &wrapped(claim.missing_way.unwrap_or_default(), WIDTH));
     text += &part("check", &[check_file(claim)]);
     text += &part("samples", &[outcome.samples.to_string()]);
     text + &table::findings(judged)

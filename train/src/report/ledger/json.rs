@@ -36,6 +36,8 @@ struct Entry<'a> {
     counter_example: Option<&'static str>,
     correction: Option<&'static str>,
     functions: Vec<Function>,
+    taped: Vec<Function>,
+    missing_way: Option<&'static str>,
     check: String,
     samples: usize,
     findings: Vec<Compared<'a>>,
@@ -83,6 +85,10 @@ fn derivative(found: &Agreement) -> Derivative<'_> {
     Derivative { what, forward, tape, central, tolerance, central_tolerance, count, ok: found.ok() }
 }
 
+fn functions(paths: &[&'static str]) -> Vec<Function> {
+    paths.iter().map(|path| Function { path, file: function_file(path) }).collect()
+}
+
 fn entry(Judged { claim, outcome }: &Judged) -> Entry<'_> {
     let &Claim { id, slug, place, statement, verdict, condition, formula, derivation, .. } = claim;
     Entry {
@@ -96,7 +102,9 @@ fn entry(Judged { claim, outcome }: &Judged) -> Entry<'_> {
         derivation,
         counter_example: claim.counter_example,
         correction: claim.correction,
-        functions: claim.functions.iter().map(|path| Function { path, file: function_file(path) }).collect(),
+        functions: functions(claim.functions),
+        taped: functions(claim.taped),
+        missing_way: claim.missing_way,
         check: check_file(claim),
         samples: outcome.samples,
         findings: outcome.findings.iter().map(compared).collect(),

@@ -77,21 +77,26 @@ mod tests {
         assert_eq!(check_file(ledger::find("L09").unwrap()), "geometry/src/ledger/claims/l09_rot_flow_inline.rs");
     }
 
+    /// Asserts that a function or constant is declared in the file that its path leads to.
+    fn assert_declared(who: &str, path: &str) {
+        let file = function_file(path);
+        let text = fs::read_to_string(in_tree(&file));
+        let text = text.unwrap_or_else(|_| panic!("{who}: '{path}' should be in {file}; name the module it lies in"));
+        let name = path.rsplit("::").next().unwrap_or(path);
+        let forms = [format!("fn {name}("), format!("fn {name}<"), format!("const {name}:")];
+        let declared = |scope: &str| forms.iter().any(|form| scope.contains(form));
+        assert!(scope(&text, path).is_some_and(declared), "{who}: no 'fn {name}' of '{path}' in {file}");
+    }
+
     #[test]
-    fn every_function_that_a_claim_names_is_in_its_file() {
+    fn every_function_that_a_claim_or_an_equation_names_is_in_its_file() {
         for claim in ledger::all() {
             assert!(in_tree(&check_file(claim)).is_file(), "{} is not in {}", claim.id, check_file(claim));
             assert!(!claim.functions.is_empty(), "{} names no function", claim.id);
-            for path in claim.functions {
-                let file = function_file(path);
-                let text = fs::read_to_string(in_tree(&file));
-                let text =
-                    text.unwrap_or_else(|_| panic!("{}: '{path}' should be in {file}; name the module it lies in", claim.id));
-                let name = path.rsplit("::").next().unwrap_or(path);
-                let forms = [format!("fn {name}("), format!("fn {name}<"), format!("const {name}:")];
-                let declared = |scope: &str| forms.iter().any(|form| scope.contains(form));
-                assert!(scope(&text, path).is_some_and(declared), "{}: no 'fn {name}' of '{path}' in {file}", claim.id);
-            }
+            claim.functions.iter().chain(claim.taped).for_each(|path| assert_declared(claim.id, path));
+        }
+        for equation in ledger::EQUATIONS {
+            equation.functions.iter().chain(equation.taped).for_each(|path| assert_declared(equation.label, path));
         }
     }
 
