@@ -88,7 +88,7 @@ fn second_split(case: &Case, source: &MotionParts, target: &MotionParts, f: &mut
     let remainder = (delta - translation_gap_first_order(&omega, &t)).norm();
     // Lengths up to 0.3 z: the second term is their rounding.
     let bound = 0.5 * omega.norm_squared() * t.norm() + 1e-15 * case.depth;
-    f.residual("|delta + omega x t| / (|omega|^2 |t| / 2 + rounding)", remainder / bound, 1.0);
+    f.bound("|delta + omega x t| / (|omega|^2 |t| / 2 + rounding)", remainder / bound, 1.0);
 }
 
 #[cfg(test)]

@@ -56,7 +56,7 @@ fn at(case: &Case, f: &mut Findings) {
     // A translation of 1 % of the depth: now depth does count, and every way notices it.
     let moved = Se3 { translation: Vector3::new(0.01 * z, 0.0, 0.0), ..*motion };
     let gradient = rigid_gradients(camera, &moved, &p, z).map_or(f64::NAN, |g| g.z.norm());
-    f.residual("with 1 % of translation: 0.001 f / z over |df/dz|", 0.001 * camera.fu / z / gradient, 1.0);
+    f.floor("with 1 % of translation: |df/dz| by f / z", gradient * z / camera.fu, 0.001);
 }
 
 #[cfg(test)]

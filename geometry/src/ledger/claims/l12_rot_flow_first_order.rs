@@ -60,7 +60,7 @@ fn at(case: &Case, f: &mut Findings) {
     }
     // The second term is the rounding of pixels.
     let bound = 2.0 * camera.fu.max(camera.fv) * ray.norm().powi(3) * omega.norm_squared() + 1e-10;
-    f.residual("error / (2 max(f) |b|^3 angle^2 + rounding)", error(camera, &omega, &p) / bound, 1.0);
+    f.bound("error / (2 max(f) |b|^3 angle^2 + rounding)", error(camera, &omega, &p) / bound, 1.0);
 }
 
 /// The first order is the derivative of the flow at no rotation.

@@ -102,7 +102,7 @@ fn depth(case: &Case, source: &Vector3<f64>, f: &mut Findings) {
     // Where t is hardly seen from the side, or is small, the miss is small too.
     if source.cross(&t).norm() > 0.01 * source.norm() * case.depth {
         let miss = (ray(without_translation(&case.motion, &wrong)) - ray(source - t)).norm();
-        f.residual("translation taken off at a wrong depth: 1e-5 rad / miss of the direction", 1e-5 / miss, 1.0);
+        f.floor("translation taken off at a wrong depth: miss of the direction, rad", miss, 1e-5);
     }
 }
 

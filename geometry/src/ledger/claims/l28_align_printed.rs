@@ -99,7 +99,7 @@ fn defects(case: &Case, f: &mut Findings) {
     let delta = printed::defect(motion);
     let second_order = 0.5 * omega.norm_squared() * t.norm();
     let excess = ((delta - printed::defect_first_order(&omega, &t)).norm() - second_order).max(0.0);
-    f.residual("delta + omega x t beyond angle^2 |t| / 2, by 1 + |t|", excess / size, 1e-14);
+    f.bound("delta + omega x t beyond angle^2 |t| / 2, by 1 + |t|", excess / size, 1e-14);
     // A rotation about t leaves no defect.
     let about_t = so3::exp(&(t.try_normalize(0.0).unwrap_or_default() * omega.norm()));
     let along = crate::Se3 { rotation: about_t, translation: t };
@@ -204,12 +204,12 @@ fn ratios(scene: &scenes::Scene, motion: &crate::Se3, size: f64, f: &mut Finding
         let plane = printed::planar_flow(camera, motion, p, z).unwrap_or(nowhere);
         let rho = crate::ratios::tangential_ratios(camera, &plane);
         // What is left is delta_z against the flow f t'_x: of the order d delta_z / (f t'_x).
-        f.residual("rho_x t_x / z - t_x / t'_x, by the angle", (rho.x * t.x / z - factors.x) / size, 1.2);
+        f.bound("rho_x t_x / z - t_x / t'_x, by the angle", (rho.x * t.x / z - factors.x) / size, 1.2);
         let axis = printed::axial_flow(camera, motion, p, z).unwrap_or(nowhere);
         let d = p - camera.principal_point();
         let error = crate::ratios::radial_ratio(&axis, &d) * t.z / z - 1.0;
         let closed = printed::radial_ratio_error_first_order(camera, motion, &d, z).unwrap_or(f64::NAN);
-        f.residual("rho_z t_z / z - 1 - first order, by angle^2", (error - closed) / (size * size), 1500.0);
+        f.bound("rho_z t_z / z - 1 - first order, by angle^2", (error - closed) / (size * size), 1500.0);
     }
 }
 

@@ -41,7 +41,7 @@ pub(super) static CLAIM: Claim = Claim {
 };
 
 fn check(trial: &mut Trial) {
-    for _ in 0..trial.samples / 10 {
+    for _ in 0..trial.samples.div_ceil(10) {
         let motion = driving(&mut trial.draw);
         at(&motion, &mut trial.findings);
         trial.count(scenes::road().pixels.len());

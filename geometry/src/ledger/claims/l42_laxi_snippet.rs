@@ -14,7 +14,7 @@ pub(super) static CLAIM: Claim = Claim {
     place: "eq. la with three frames",
     statement: "Eq. la can be applied to both sources of a snippet of three frames.",
     verdict: Verdict::Fails,
-    condition: Some("the camera keeps its sense of motion along the optical axis"),
+    condition: Some("both sources lie ahead of the target (t'_z < 0): the camera turns back between the two frames"),
     formula: "t'_z of the previous and of the next frame have opposite signs: the mean of the two losses at the truth is pi/2",
     derivation: "If the motion M repeats, the next source is M and the previous one M^-1, whose translation in its target \
                  frame is -t = -R t': the third component keeps its size up to the rotation and changes its sign. By L41 one \

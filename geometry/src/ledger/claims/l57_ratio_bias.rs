@@ -88,7 +88,7 @@ fn truncated(sigma: f64, quotient: f64, f: &mut Findings) {
     if quotient > 10.0 {
         // Truncation takes 2.7 % of the variance, the fourth moment adds 3 / quotient^2.
         let relative = (mean - 1.0) / (mean_ratio_second_order(flow, sigma) - 1.0) - 1.0;
-        f.residual("bias over sigma^2 / f^2, - 1, from 10 sigma on", relative, 0.03);
+        f.bound("bias over sigma^2 / f^2, - 1, from 10 sigma on", relative, 0.03);
     }
     minimisers(sigma, flow, f);
 }
@@ -109,7 +109,7 @@ fn minimisers(sigma: f64, flow: f64, f: &mut Findings) {
     if flow > 10.0 * sigma {
         let offset = median_offset_second_order(flow, sigma);
         let [above, below] = [printed - 1.0, 1.0 - over_ratio].map(|x| x / offset - 1.0);
-        f.residual("offset of the a-weighted median over its second order, - 1, from 10 sigma on", above, 0.03);
+        f.bound("offset of the a-weighted median over its second order, - 1, from 10 sigma on", above, 0.03);
         f.residual("offset of the 1/a-weighted median over its second order, - 1, from 10 sigma on", below, 0.03);
     }
 }
