@@ -1,6 +1,6 @@
 //! The three networks of a run, and their weights.
 
-use dimode_autodiff::{Shape, Tensor, Var};
+use dimode_autodiff::{Scalar, Shape, Tensor, Var};
 use dimode_nets::{Binder, DepthNet, FlowNet, Network, ParamSet, PoseNet};
 
 use crate::config::{NetsConfig, SCALE_ANCHOR};
@@ -15,9 +15,19 @@ pub struct DepthRange {
 }
 
 impl DepthRange {
+    /// Monodepth2's: 0.1 to 100.
+    pub const MONODEPTH: DepthRange = DepthRange { min: 0.1, max: 100.0 };
+    /// Of both SC-Depth programs, `1 / depth = 10 disparity + 0.01`: 0.0999 to 100.
+    pub const SC_DEPTH: DepthRange = DepthRange { min: 1.0 / 10.01, max: 100.0 };
+
     /// Depth `[n, 1, h, w]` of disparities in (0, 1).
-    pub fn depth<'t>(self, disparity: Var<'t, f32>) -> Var<'t, f32> {
-        disparity.scale(1.0 / self.min - 1.0 / self.max).add_scalar(1.0 / self.max).recip()
+    pub fn depth<'t, T: Scalar>(self, disparity: Var<'t, T>) -> Var<'t, T> {
+        self.inverse_depth(disparity).recip()
+    }
+
+    /// `1 / depth`, `[n, 1, h, w]`, of disparities in (0, 1).
+    pub fn inverse_depth<'t, T: Scalar>(self, disparity: Var<'t, T>) -> Var<'t, T> {
+        disparity.scale(1.0 / self.min - 1.0 / self.max).add_scalar(1.0 / self.max)
     }
 
     /// Depth at the mean disparity near which training holds a network ([`SCALE_ANCHOR`]).
