@@ -97,11 +97,15 @@ pub enum SampleGrid {
 
 impl SampleGrid {
     /// Coordinates at which to read an image of `height` x `width` for the `pixels` (N,2,H,W).
+    ///
+    /// **Panics** for [`SampleGrid::HalfPixelAsCoded`] when a side is one pixel short: its coordinates are divided by 0 then.
     #[must_use]
+    #[track_caller]
     pub fn coordinates<T: Scalar>(self, pixels: Var<'_, T>, height: usize, width: usize) -> Var<'_, T> {
         match self {
             SampleGrid::Pixels => pixels,
             SampleGrid::HalfPixelAsCoded => {
+                assert!(height > 1 && width > 1, "SampleGrid: {height} x {width} pixels, at least 2 x 2 are needed");
                 let stretch = |size: usize| T::from_f64(size as f64 / (size - 1) as f64);
                 let factors = Tensor::from_vec(Shape::new(1, 2, 1, 1), vec![stretch(width), stretch(height)]);
                 pixels.mul(pixels.tape().constant(factors).broadcast_to(pixels.shape())).add_scalar(-0.5)

@@ -59,7 +59,8 @@ fn min_reprojection_in<T: Scalar>() {
     let target = golden.map("in.target");
     let identities = ["in.src_prev", "in.src_next"].map(|s| photometric_value(&golden.map(s), &target));
     golden.numbers_match("out.identity", &stacked(&identities));
-    for (identities, value, prefix) in [(&identities[..], "out.loss", "grad"), (&[], "out.loss_no_automask", "grad_no_automask")] {
+    for (identities, value, prefix) in [(&identities[..], "out.loss", "grad"), (&[], "out.loss_no_automask", "grad_no_automask")]
+    {
         let tape = Tape::new();
         let warped = ["prev", "next"].map(|s| tape.leaf(golden.map(&format!("in.warped_{s}"))));
         let t = tape.constant(target.clone());

@@ -78,12 +78,9 @@ pub fn pair_maps<'t, T: Scalar>(pair: &ViewPair<'_, 't, T>, grid: SampleGrid) ->
     let image = pair.target.image;
     let colour_difference = absolute_difference(image, warped.image);
     let still = absolute_difference(image.detach(), pair.reference.image.detach()).value();
-    let auto_mask = where_all(&[&colour_difference.value(), &still], |x| x[0] < x[1]);
-    let brightness = [warped.image, image].map(|i| i.detach().abs().mean_channels().value());
-    let black = T::from_f64(BLACK);
-    let valid = where_all(&[&auto_mask, &ahead, &brightness[0], &brightness[1]], |x| {
-        x[0] != T::ZERO && x[1] != T::ZERO && x[2] > black && x[3] > black
-    });
+    let auto_mask = smaller(&colour_difference.value(), &still);
+    let [warped_seen, target_seen] = [warped.image, image].map(seen_pixels);
+    let valid = masks::all_of(&[&auto_mask, &ahead, &warped_seen, &target_seen]);
     let clipped = image.sub(warped.image).abs().clamp(0.0, 1.0).scale(WEIGHTS[0]);
     let structure = dissimilarity(image, warped.image, WINDOW, Border::Mirrored).scale(WEIGHTS[1]);
     let weight = depth_difference.detach().scale(-1.0).add_scalar(1.0);
@@ -149,11 +146,15 @@ fn relative_difference<'t, T: Scalar>(a: Var<'t, T>, b: Var<'t, T>, ahead: &Tens
     a.sub(b).abs().select(ahead, one).div(a.add(b).select(ahead, one))
 }
 
-/// Mask of the entries for which `keep` holds for the entries of all maps.
-fn where_all<T: Scalar>(maps: &[&Tensor<T>], keep: impl Fn(&[T]) -> bool) -> Tensor<T> {
-    let entries = |i: usize| maps.iter().map(|m| m.data()[i]).collect::<Vec<_>>();
-    let kept = |i| if keep(&entries(i)) { T::ONE } else { T::ZERO };
-    Tensor::from_vec(maps[0].shape(), (0..maps[0].shape().len()).map(kept).collect())
+/// 1 where `a < b`.
+fn smaller<T: Scalar>(a: &Tensor<T>, b: &Tensor<T>) -> Tensor<T> {
+    let pairs = a.data().iter().zip(b.data());
+    Tensor::from_vec(a.shape(), pairs.map(|(a, b)| if a < b { T::ONE } else { T::ZERO }).collect())
+}
+
+/// 1 where an image is not black.
+fn seen_pixels<T: Scalar>(image: Var<'_, T>) -> Tensor<T> {
+    masks::above(&image.detach().abs().mean_channels().value(), 0, BLACK)
 }
 
 #[cfg(test)]
@@ -190,13 +191,12 @@ mod tests {
         assert!((weights.at(0, 0, 3, 4) - (1.0 - 0.5 * valid)).abs() < 1e-6);
     }
 
-    /// The stopped weight and the choices are constants of the derivative, so differences see them only where they do not move:
-    /// here the weight is stopped by reading its value from an unperturbed scene.
     #[test]
     fn gradient_of_geometry_matches_finite_differences() {
         gradcheck(&scene(2), |_, v| loss(v, 0).geometry, CHECK).assert_ok();
     }
 
+    /// Differences do not see that the weight is stopped, so it is exchanged for the one of the unmoved scene.
     #[test]
     fn gradient_of_the_photometric_map_matches_finite_differences_at_equal_weight() {
         let cameras = cameras(1);
@@ -208,14 +208,11 @@ mod tests {
             &fixed,
             |tape, v| {
                 let maps = pair_maps(&pair(v, &cameras), SampleGrid::Pixels);
-                // Division by the weight as it is and multiplication with the one of the fixed scene.
-                let one = Tensor::full(weight.shape(), 1.0);
                 let left = |d: &Tensor<f64>| Tensor::from_vec(d.shape(), d.data().iter().map(|d| 1.0 - d).collect());
-                let (now, then) = (left(&maps.depth_difference.value()), left(&weight));
-                let some = valid.clone();
-                let image = maps.image_difference.select(&some, tape.constant(one.clone()));
-                let now = tape.constant(now).select(&some, tape.constant(one));
-                batch_mean(image.div(now).mul(tape.constant(then)), &valid, 0)
+                let (now, then) = (left(&maps.depth_difference.value()), tape.constant(left(&weight)));
+                let one = tape.constant(Tensor::full(weight.shape(), 1.0));
+                let image = maps.image_difference.select(&valid, one);
+                batch_mean(image.div(tape.constant(now).select(&valid, one)).mul(then), &valid, 0)
             },
             CHECK,
         );

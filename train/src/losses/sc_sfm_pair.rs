@@ -11,6 +11,8 @@
 //! **Gradient**: both losses reach both depths and the motion: unlike in the later program ([`super::sc_depth_pair`]) the weight
 //! `1 - d` is not stopped, so the photometric loss asks for more disagreement of the depths where colours differ. Coordinates out
 //! of view are replaced by a constant before the image is read.
+//!
+//! Depths of coarser scales are brought to full size by [`resize_nearest`](Var::resize_nearest) first, as the public code does.
 
 use dimode_autodiff::{Scalar, Tensor, Var};
 use dimode_geometry::taped::{Divisor, SampleGrid};
