@@ -153,7 +153,7 @@ mod tests {
         let v = leaves(&tape, scene(1));
         let cameras = cameras(1);
         let maps = pair_maps(&pair(&v, &cameras), SampleGrid::Pixels);
-        let one = pair_loss(&[maps.clone()], 0);
+        let one = pair_loss(std::slice::from_ref(&maps), 0);
         let two = pair_loss(&[maps.clone(), maps.clone()], 0);
         assert_eq!(two.photo.value().item(), 2.0 * one.photo.value().item());
         assert_eq!(two.geometry.value().item(), 2.0 * one.geometry.value().item());
