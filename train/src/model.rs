@@ -119,3 +119,27 @@ pub fn stack<'a>(images: impl IntoIterator<Item = &'a crate::data::Image>) -> Te
     let data: Vec<f32> = images.iter().flat_map(|i| i.data.iter().copied()).collect();
     Tensor::from_vec(shape, data)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dimode_autodiff::gradcheck::{random, weighted_sum};
+    use dimode_autodiff::{GradCheck, Tape, gradcheck};
+
+    #[test]
+    fn disparities_reach_from_the_largest_depth_to_the_smallest() {
+        let tape = Tape::<f64>::new();
+        let ends = tape.constant(Tensor::from_vec(Shape::new(1, 1, 1, 2), vec![0.0, 1.0]));
+        for (range, near) in [(DepthRange::MONODEPTH, 0.1), (DepthRange::SC_DEPTH, 1.0 / 10.01)] {
+            let depth = range.depth(ends).value();
+            assert!((depth.data()[0] - 100.0).abs() < 1e-10 && (depth.data()[1] - near).abs() < 1e-15, "{depth:?}");
+        }
+    }
+
+    #[test]
+    fn gradient_of_the_depth_matches_finite_differences() {
+        let disparity = random(1, Shape::new(1, 1, 3, 4), 0.2, 0.9);
+        let check = GradCheck { step: 1e-5, ..GradCheck::default() };
+        gradcheck(&[disparity], |_, v| weighted_sum(DepthRange::SC_DEPTH.depth(v[0]), 2), check).assert_ok();
+    }
+}
