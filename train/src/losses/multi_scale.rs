@@ -21,7 +21,7 @@ pub const SMOOTHNESS: f64 = 1e-3;
 /// How a source is read from a depth map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reprojection {
-    /// By [`rigid_flow`]: points behind the camera do not move.
+    /// By [`rigid_flow()`]: points behind the camera do not move.
     #[default]
     RigidFlow,
     /// By division by `Z + 1e-7`, points behind the camera mirrored. For comparison with the public code.
