@@ -3,7 +3,7 @@
 A second program in NumPy with the package `autograd` (reverse-mode gradients), independent of the Rust code and of PyTorch,
 which made the stored numbers. `pip install numpy autograd`, then `python3 check_losses.py` in this folder: one line for each
 file with the largest distance, relative to the largest magnitude of the tensor; ends with 1 when one is above 1e-8.
-Every formula below is the definition of the tensors it returns. Tensors that it does not return are read by no test.
+Every formula below is the definition of the tensors it returns.
 """
 
 import json
@@ -53,6 +53,37 @@ def rotation(w):
     return np.cos(angle) * np.eye(3) + (1 - np.cos(angle)) * np.outer(axis, axis) + np.sin(angle) * cross
 
 
+def euler(x):
+    """Rx Ry Rz."""
+    (a, b, c), zero, one = x, 0 * x[0], 0 * x[0] + 1
+    cos, sin = np.cos, np.sin
+    rx = np.array([[one, zero, zero], [zero, cos(a), -sin(a)], [zero, sin(a), cos(a)]])
+    ry = np.array([[cos(b), zero, sin(b)], [zero, one, zero], [-sin(b), zero, cos(b)]])
+    rz = np.array([[cos(c), -sin(c), zero], [sin(c), cos(c), zero], [zero, zero, one]])
+    return rx @ ry @ rz
+
+
+def project(k, points, r, tau):
+    """K (R X + t) of points (3,H,W)."""
+    return np.tensordot(k, np.tensordot(r, points, 1) + tau.reshape(3, 1, 1), 1)
+
+
+def pixels(y):
+    """The first two rows divided by the third + 1e-7."""
+    return y[:2] / (y[2:] + 1e-7)
+
+
+def half_pixel(p):
+    """Where align_corners=False reads for the pixels p that were divided by (size - 1) / 2."""
+    size = numpy.array([W, H]).reshape(2, 1, 1)
+    return ((p / (size - 1) * 2) * size - 1) / 2
+
+
+def grid(p):
+    """Pixels (N,2,H,W) in -1..1, axis last."""
+    return np.moveaxis(2 * (p / numpy.array([W - 1, H - 1]).reshape(2, 1, 1) - 0.5), 1, -1)
+
+
 def rays(k):
     return np.stack([(U - k[0, 2]) / k[0, 0], (V - k[1, 2]) / k[1, 1], np.ones((H, W))])
 
@@ -92,6 +123,8 @@ def pose(t):
     inputs = t["in.axisangle"], t["in.translation"]
     by_w, by_tau = gradients(loss, inputs)
     return {
+        "out.R_euler": each(euler, t["in.euler"]),
+        "grad.euler": grad(lambda x: np.sum(each(euler, x) * t["in.w_euler"]))(t["in.euler"]),
         "out.T": each(lambda *a: transforms(*a)[0], *inputs),
         "out.T_inv": each(lambda *a: transforms(*a)[1], *inputs),
         "grad.axisangle": by_w,
@@ -100,24 +133,24 @@ def pose(t):
 
 
 def warp(t):
-    def project(k, depth, w, tau):
-        """K (R D K^-1 p + t), and its first two rows divided by the third + 1e-7."""
-        points = np.tensordot(rotation(w[0]), rays(k) * depth, 1) + tau[0].reshape(3, 1, 1)
-        y = np.tensordot(k, points, 1)
-        return np.concatenate([y[:2] / (y[2:] + 1e-7), y[2:]])
+    def projected(k, depth, w, tau):
+        return project(k, rays(k) * depth, rotation(w[0]), tau[0])
 
-    def warped(image, depth, w, tau, padding):
-        one = lambda k, i, d, w, tau: sample(i, *project(k, d, w, tau)[:2], padding)
+    def warped(image, depth, w, tau, padding, place):
+        one = lambda k, i, *motion: sample(i, *place(pixels(projected(k, *motion))), padding)
         return each(one, t["in.K"], image, depth, w, tau)
 
     inputs = t["in.image"], t["in.depth"], t["in.axisangle"], t["in.translation"]
-    projected = each(project, t["in.K"], *inputs[1:])
-    out = {"out.pix": projected[:, :2], "out.computed_depth": projected[:, 2:]}
+    y = each(projected, t["in.K"], *inputs[1:])
+    pix = each(pixels, y)
+    out = {"out.pix": pix, "out.computed_depth": y[:, 2:], "out.grid": grid(pix), "out.rigid_flow": pix - numpy.stack([U, V])}
+    out["out.cam_points"] = each(lambda k, d: rays(k) * d, t["in.K"], t["in.depth"])
     for padding in ("border", "zeros"):
-        out[f"out.warped_{padding}_ac1"] = warped(*inputs, padding)
-    loss = lambda *a: np.sum(warped(*a, "border") * t["in.w"])
-    for name, value in zip(("image", "depth", "axisangle", "translation"), gradients(loss, inputs)):
-        out[f"grad_border_ac1.{name}"] = value
+        for corners, place in (("ac1", lambda p: p), ("ac0", half_pixel)):
+            out[f"out.warped_{padding}_{corners}"] = warped(*inputs, padding, place)
+            loss = lambda *a: np.sum(warped(*a, padding, place) * t["in.w"])
+            for name, value in zip(("image", "depth", "axisangle", "translation"), gradients(loss, inputs)):
+                out[f"grad_{padding}_{corners}.{name}"] = value
     return out
 
 
@@ -126,9 +159,10 @@ def warp(t):
 
 def box(x, k):
     """Mean over k x k pixels of (N,C,H,W), the border mirrored without repeating its pixels."""
-    rows, columns = (numpy.pad(numpy.arange(n), k // 2, mode="reflect") for n in (H, W))
-    x = sum(x[:, :, rows[i : i + H]] for i in range(k)) / k
-    return sum(x[:, :, :, columns[i : i + W]] for i in range(k)) / k
+    h, w = x.shape[2:]
+    rows, columns = (numpy.pad(numpy.arange(n), k // 2, mode="reflect") for n in (h, w))
+    x = sum(x[:, :, rows[i : i + h]] for i in range(k)) / k
+    return sum(x[:, :, :, columns[i : i + w]] for i in range(k)) / k
 
 
 def dissimilarity(x, y, k):
@@ -146,10 +180,11 @@ def photo(x, y):
 
 def ssim(t):
     out = {}
-    for k in (3, 7):
-        out[f"out.dissim{k}"] = dissimilarity(t["in.x"], t["in.y"], k)
-        loss = lambda x, y: np.sum(dissimilarity(x, y, k) * t[f"in.w_dissim{k}"])
-        out[f"grad_dissim{k}.x"], out[f"grad_dissim{k}.y"] = gradients(loss, (t["in.x"], t["in.y"]))
+    inner = lambda *a: dissimilarity(*a, 3)[:, :, 1:-1, 1:-1]
+    for name, f in (("dissim3", lambda *a: dissimilarity(*a, 3)), ("dissim7", lambda *a: dissimilarity(*a, 7)), ("dissim3_valid", inner)):
+        out[f"out.{name}"] = f(t["in.x"], t["in.y"])
+        loss = lambda x, y: np.sum(f(x, y) * t[f"in.w_{name}"])
+        out[f"grad_{name}.x"], out[f"grad_{name}.y"] = gradients(loss, (t["in.x"], t["in.y"]))
     return out
 
 
@@ -157,7 +192,8 @@ def photometric(t):
     inputs = t["in.pred"], t["in.target"]
     by_pred, by_target = gradients(lambda *a: np.mean(photo(*a)), inputs)
     error = photo(*inputs)
-    return {"out.photo": error, "out.loss": np.mean(error), "grad.pred": by_pred, "grad.target": by_target}
+    l1 = np.mean(np.abs(inputs[1] - inputs[0]), 1, keepdims=True)
+    return {"out.l1": l1, "out.photo": error, "out.loss": np.mean(error), "grad.pred": by_pred, "grad.target": by_target}
 
 
 def min_reproj(t):
@@ -165,7 +201,10 @@ def min_reproj(t):
     unmoved = [photo(t[f"in.src_{s}"], target) for s in ("prev", "next")]
     lowest = lambda a, b, more: np.min(np.concatenate([*more, photo(a, target), photo(b, target)], 1), 1)
     inputs = t["in.warped_prev"], t["in.warped_next"]
-    out = {"out.min": lowest(*inputs, unmoved)}
+    reprojection = np.concatenate([photo(x, target) for x in inputs], 1)
+    which = np.argmin(np.concatenate([*unmoved, reprojection], 1), 1)
+    out = {"out.min": lowest(*inputs, unmoved), "out.argmin": which, "out.automask": which >= 2}
+    out |= {"out.reprojection": reprojection, "out.identity": np.concatenate(unmoved, 1), "out.loss_avg": np.mean(reprojection)}
     for more, value, prefix in ((unmoved, "loss", "grad"), ([], "loss_no_automask", "grad_no_automask")):
         loss = lambda a, b: np.mean(lowest(a, b, more))
         out[f"out.{value}"] = loss(*inputs)
@@ -173,32 +212,245 @@ def min_reproj(t):
     return out
 
 
-def smoothness(t):
-    def raw(d, image):
-        step = lambda x, axis: np.abs(np.diff(x, axis=axis))
-        edge = lambda axis: np.exp(-np.mean(step(image, axis), 1, keepdims=True))
-        return np.mean(step(d, 3) * edge(3)) + np.mean(step(d, 2) * edge(2))
+def edge_aware(d, image):
+    step = lambda x, axis: np.abs(x[:, :, :, 1:] - x[:, :, :, :-1]) if axis == 3 else np.abs(x[:, :, 1:] - x[:, :, :-1])
+    edge = lambda axis: np.exp(-np.mean(step(image, axis), 1, keepdims=True))
+    return np.mean(step(d, 3) * edge(3)) + np.mean(step(d, 2) * edge(2))
 
-    normalised = lambda d, image: raw(d / (np.mean(d, (2, 3), keepdims=True) + 1e-7), image)
+
+def edge_aware_normalised(d, image):
+    return edge_aware(d / (np.mean(d, (2, 3), keepdims=True) + 1e-7), image)
+
+
+def smoothness(t):
     out, inputs = {}, (t["in.disp"], t["in.image"])
-    for name, loss in (("raw", raw), ("normalised", normalised)):
+    for name, loss in (("raw", edge_aware), ("normalised", edge_aware_normalised)):
         out[f"out.{name}"] = loss(*inputs)
         out[f"grad_{name}.disp"], out[f"grad_{name}.image"] = gradients(loss, inputs)
     return out
 
 
-def normals(t):
-    def one(k, depth):
-        points = rays(k) * depth
-        padded = lambda x: x[:, numpy.arange(-1, H + 1).clip(0, H - 1)][:, :, numpy.arange(-1, W + 1).clip(0, W - 1)]
-        p = padded(points)
-        rows, columns = p[:, :-2] + 2 * p[:, 1:-1] + p[:, 2:], p[:, :, :-2] + 2 * p[:, :, 1:-1] + p[:, :, 2:]
-        du, dv = (rows[:, :, 2:] - rows[:, :, :-2]) / 8, (columns[:, 2:] - columns[:, :-2]) / 8
-        n = np.stack([du[i] * dv[j] - du[j] * dv[i] for i, j in ((1, 2), (2, 0), (0, 1))])
-        return n / np.maximum(root(np.sum(n**2, 0)), 1e-12)
+def disp_depth(t):
+    scaled = lambda d: 0.01 + 9.99 * d
+    loss = lambda d: np.sum(t["in.w"] / scaled(d))
+    d = t["in.disp"]
+    return {"out.scaled_disp": scaled(d), "out.depth": 1 / scaled(d), "grad.disp": grad(loss)(d)}
 
-    loss = lambda depth: np.sum(each(one, t["in.K"], depth) * t["in.w"])
-    return {"out.normals": each(one, t["in.K"], t["in.depth"]), "grad.depth": grad(loss)(t["in.depth"])}
+
+def resized(x):
+    """(N,1,h,w) to H x W, bilinear between half-pixel centres."""
+    for axis, size in ((2, H), (3, W)):
+        old = x.shape[axis]
+        at = numpy.maximum((numpy.arange(size) + 0.5) * old / size - 0.5, 0)
+        low = numpy.floor(at).astype(int)
+        weights = numpy.zeros((size, old))
+        weights[numpy.arange(size), low] += 1 - (at - low)
+        weights[numpy.arange(size), (low + 1).clip(0, old - 1)] += at - low
+        x = np.moveaxis(np.tensordot(weights, x, ((1,), (axis,))), 0, axis)
+    return x
+
+
+def monodepth_total(t):
+    target, names = t["in.color_0"], ["prev", "next"]
+    unmoved = [photo(t[f"in.src_{s}"], target) for s in names]
+
+    def scale(s, disparity, motions):
+        depth = 1 / (0.01 + 9.99 * resized(disparity))
+        errors = []
+        for source, (w, tau) in zip(names, motions):
+
+            def one(k, image, depth, w, tau):
+                r = rotation(w[0])
+                r, tau = (r.T, -r.T @ tau[0]) if source == "prev" else (r, tau[0])
+                return sample(image, *pixels(project(k, rays(k) * depth, r, tau)), "border")
+
+            errors.append(photo(each(one, t["in.K"], t[f"in.src_{source}"], depth, w, tau), target))
+        lowest = np.min(np.concatenate([*unmoved, *errors], 1), 1)
+        return np.mean(lowest), edge_aware_normalised(disparity, t[f"in.color_{s}"])
+
+    def total(*leaves):
+        parts = [scale(s, leaves[s], (leaves[4:6], leaves[6:8])) for s in range(4)]
+        return sum(photo + 1e-3 * smooth / 2**s for s, (photo, smooth) in enumerate(parts)) / 4
+
+    leaves = [f"disp_{s}" for s in range(4)] + ["axisangle_prev", "translation_prev", "axisangle_next", "translation_next"]
+    inputs = [t[f"in.{leaf}"] for leaf in leaves]
+    out = {"out.total": total(*inputs)}
+    for s in range(4):
+        out[f"out.photo_{s}"], out[f"out.smooth_{s}"] = scale(s, inputs[s], (inputs[4:6], inputs[6:8]))
+    return out | {f"grad.{leaf}": value for leaf, value in zip(leaves, gradients(total, inputs))}
+
+
+# Pairs of views, normals and pseudo-depth.
+
+
+def sc_geometry(t):
+    leaves = ["tgt_depth", "ref_depth", "pose", "ref_img"]
+    inputs = [t[f"in.{leaf}"] for leaf in leaves]
+    image, over = t["in.tgt_img"], lambda x: np.mean(x, 1, keepdims=True)
+
+    def seen(maps, tgt_depth, ref_depth, pose, ref_img):
+        def one(k, d_t, d_r, p, i_r):
+            y = project(k, rays(k) * d_t, euler(p[3:]), p[:3])
+            if maps is later:
+                z, p = y[2:], pixels(y)
+            else:
+                z = np.clip(y[2:], 1e-3, None)
+                p = y[:2] / z
+                largest = numpy.array([W - 1, H - 1]).reshape(2, 1, 1)
+                p = np.where((p >= 0) & (p <= largest), p, 1.5 * largest)
+            return np.concatenate([p, z, sample(np.concatenate([i_r, d_r]), *half_pixel(p), "zeros")])
+
+        made = each(one, t["in.K"], tgt_depth, ref_depth, pose, ref_img)
+        return maps(*(made[:, a:b] for a, b in ((0, 2), (2, 3), (3, 6), (6, 7))), ref_img)
+
+    def later(pix, computed, warped, projected, ref_img):
+        depth = np.abs(computed - projected) / (computed + projected)
+        colour = over(np.abs(image - warped))
+        auto = constant(colour) < over(numpy.abs(image - constant(ref_img)))
+        valid = auto & (constant(over(np.abs(warped))) > 1e-3) & (over(numpy.abs(image)) > 1e-3)
+        error = over(0.15 * np.clip(np.abs(image - warped), 0, 1) + 0.85 * dissimilarity(image, warped, 7))
+        return {
+            "pix": pix, "warped": warped, "computed": computed, "projected": projected, "diff_depth": depth, "auto": auto,
+            "diff_color": colour, "valid": valid, "diff_img": error * (1 - constant(depth)),
+        }  # fmt: skip
+
+    def first(pix, computed, warped, projected, ref_img):
+        depth = np.clip(np.abs(computed - projected) / (computed + projected), 0, 1)
+        a = np.clip(np.abs(image - warped), 0, 1)
+        view = ((constant(pix)[:, 0] <= W - 1) & (constant(pix)[:, 1] <= H - 1))[:, None]
+        valid = view & (constant(over(a)) < over(numpy.abs(image - constant(ref_img))))
+        error = (0.15 * a + 0.85 * dissimilarity(image, warped, 3)) * (1 - depth)
+        return {
+            "grid": grid(pix), "warped": warped, "computed": computed, "projected": projected, "diff_depth": depth,
+            "valid": view, "mask": valid, "diff_img": error,
+        }  # fmt: skip
+
+    out = {}
+    for prefix, maps, mask in (("pl", later, "valid"), ("rel", first, "mask")):
+        out |= {f"out.{prefix}_{name}": constant(value) for name, value in seen(maps, *inputs).items()}
+        for name, of in (("photo", "diff_img"), ("geometry", "diff_depth")):
+
+            def loss(*a):
+                found = seen(maps, *a)
+                chosen = numpy.broadcast_to(found[mask], found[of].shape)
+                return np.sum(found[of] * chosen) / chosen.sum()
+
+            out[f"out.{prefix}_{name}"] = loss(*inputs)
+            for leaf, value in zip(leaves, gradients(loss, inputs)):
+                out[f"grad_{prefix}_{name}.{leaf}"] = value
+    return out
+
+
+def rectify(t):
+    def turned(k, angles):
+        return pixels(project(k, rays(k), euler(angles), numpy.zeros(3)))
+
+    warped = lambda image, angles: each(lambda k, i, a: sample(i, *turned(k, a), "zeros"), t["in.K"], image, angles)
+    loss = lambda *a: np.sum(warped(*a) * t["in.w"])
+    by_image, by_angles = gradients(loss, (t["in.image"], t["in.rot"]))
+    consistency = lambda r1, r2, r3: np.mean(np.abs(r3 - t["in.rot3_gt"]))
+    triplet = lambda r1, r2, r3: np.mean(np.maximum(np.abs(r2) - np.abs(r1) + 0.05, 0))
+    said = [t[f"in.rot{i}"] for i in (1, 2, 3)]
+    out = {"out.rot_consistency": consistency(*said), "out.rot_triplet": triplet(*said)}
+    for i, value in enumerate(gradients(lambda *a: consistency(*a) + triplet(*a), said)):
+        out[f"grad_rot.rot{i + 1}"] = value
+    pix = each(turned, t["in.K"], t["in.rot"])
+    return out | {"out.pix": pix, "out.warped": warped(t["in.image"], t["in.rot"]), "grad.image": by_image, "grad.rot": by_angles}
+
+
+def normal_map(k, depth):
+    points = rays(k) * depth
+    padded = lambda x: x[:, numpy.arange(-1, H + 1).clip(0, H - 1)][:, :, numpy.arange(-1, W + 1).clip(0, W - 1)]
+    p = padded(points)
+    rows, columns = p[:, :-2] + 2 * p[:, 1:-1] + p[:, 2:], p[:, :, :-2] + 2 * p[:, :, 1:-1] + p[:, :, 2:]
+    du, dv = (rows[:, :, 2:] - rows[:, :, :-2]) / 8, (columns[:, 2:] - columns[:, :-2]) / 8
+    n = np.stack([du[i] * dv[j] - du[j] * dv[i] for i, j in ((1, 2), (2, 0), (0, 1))])
+    return n / np.maximum(root(np.sum(n**2, 0)), 1e-12)
+
+
+def normals(t):
+    loss = lambda depth: np.sum(each(normal_map, t["in.K"], depth) * t["in.w"])
+    return {"out.normals": each(normal_map, t["in.K"], t["in.depth"]), "grad.depth": grad(loss)(t["in.depth"])}
+
+
+def responses(x):
+    """Of (C,H,W) along u and, upwards, along v, in the inner pixels."""
+    rows, columns = x[:, :-2] + 2 * x[:, 1:-1] + x[:, 2:], x[:, :, :-2] + 2 * x[:, :, 1:-1] + x[:, :, 2:]
+    return rows[:, :, 2:] - rows[:, :, :-2], columns[:, :-2] - columns[:, 2:]
+
+
+def edges(gx, gy):
+    return [numpy.pad(x, 1) for x in (numpy.sqrt(gx**2 + gy**2), numpy.arctan2(gy, gx))]
+
+
+def lines(strength, theta, ranks, offsets):
+    """Both ends of the pairs on the lines through the anchors."""
+    anchors = numpy.flatnonzero(strength >= 0.1 * strength.max())[ranks.astype(int)]
+    angle = theta.ravel()[anchors]
+    signed = offsets * numpy.array([-1, -1, 1, 1])[:, None]
+    u = (anchors % W + numpy.round(signed * numpy.abs(numpy.cos(angle)))).clip(0, W - 1)
+    v = (anchors // W + numpy.round(signed * numpy.abs(numpy.sin(angle)))).clip(0, H - 1)
+    points = (v * W + u).astype(int)
+    return points[:3].ravel(), points[1:].ravel()
+
+
+def lsr(t):
+    depth, pseudo = t["in.depth"], t["in.pseudo_depth"]
+    n = lambda d: each(normal_map, t["in.K"], d)
+    wanted, matching = n(pseudo), lambda d: np.mean(np.abs(n(d) - n(pseudo)))
+    out = {"out.normals": n(depth), "out.pseudo_normals": wanted, "out.normal_matching": matching(depth)}
+    out["grad_normal_matching.depth"] = grad(matching)(depth)
+
+    of_depth = numpy.stack([edges(*(g[0] for g in responses(d)))[0] for d in pseudo])
+    strong = numpy.pad(of_depth >= 0.1 * of_depth.max(), ((0, 0), (1, 1), (1, 1)))
+    grown = numpy.max([strong[:, i : i + H, j : j + W] for i in range(3) for j in range(3)], 0)
+    framed = (V < 5) | (U < 5) | (V >= H - 5) | (U >= W - 5)
+    pairs = []
+    for b in (0, 1):
+        ends = []
+        image = edges(*(g[0] for g in responses(t["in.image"][b])))
+        normal = edges(*(numpy.abs(g).mean(0) for g in responses(wanted[b])))
+        for name, (strength, theta), dropped in (("image", image, grown[b]), ("normal", normal, grown[b] | framed)):
+            strength = numpy.where(dropped, 0.0, strength)
+            out.setdefault(f"out.edge_{name}", []).append([strength])
+            out.setdefault(f"out.theta_{name}", []).append([theta])
+            ends.append(lines(strength, theta, t[f"in.{name}_rank_{b}"], t[f"in.{name}_distance_{b}"]))
+            out[f"out.{name}_pair_a_{b}"], out[f"out.{name}_pair_b_{b}"] = ends[-1]
+        pairs.append([numpy.concatenate(side) for side in zip(*ends)])
+    out["out.depth_edge_dilated"] = grown[:, None]
+
+    def relative(d):
+        def cosines(n):
+            flat = n.reshape(2, 3, H * W)
+            return np.concatenate([np.abs(np.sum(flat[b][:, i] * flat[b][:, j], 0)) for b, (i, j) in enumerate(pairs)])
+
+        return np.mean(np.abs(cosines(wanted) - cosines(n(d))))
+
+    out["out.relative_normal"], out["grad_relative_normal.depth"] = relative(depth), grad(relative)(depth)
+    return out | ranking(t, depth, pseudo)
+
+
+def ranking(t, depth, pseudo):
+    mask = t["in.rank_mask_a"].ravel() > 0
+    common = numpy.flatnonzero(mask), numpy.flatnonzero(mask[t["in.rank_perm"].astype(int)])
+    out, found = {}, []
+    for b in (0, 1):
+        low = numpy.zeros(H * W, bool)
+        low[numpy.argsort(t["in.dynamic_weight"][b].ravel(), kind="stable")[: int(0.2 * H * W)]] = True
+        out[f"out.unreliable_{b}"] = low.reshape(H, W)
+        own = numpy.flatnonzero(low), numpy.flatnonzero(~low)[t[f"in.rank_pick_{b}"].astype(int)]
+        for (i, j), inclusive in ((common, False), (own, True)):
+            ratio = pseudo[b].ravel()[i] / pseudo[b].ravel()[j]
+            order = numpy.where(ratio > 1.15, 1, numpy.where(1 / ratio > 1.15, -1, 0))
+            order = numpy.where((ratio == 1.15) & inclusive, 1, order)
+            found.append((b, i[order != 0], j[order != 0], order[order != 0]))
+
+    def loss(d):
+        flat = d.reshape(2, H * W)
+        terms = [np.log(1 + np.exp(-order * (flat[b][i] - flat[b][j]))) for b, i, j, order in found]
+        return np.mean(np.concatenate(terms))
+
+    return out | {"out.depth_ranking": loss(depth), "grad_depth_ranking.depth": grad(loss)(depth)}
 
 
 def pseudo_guided(t):
@@ -207,14 +459,17 @@ def pseudo_guided(t):
         return numpy.array([[x[window(v, H), window(u, W)].mean() for u in range(W)] for v in range(H)])
 
     def one(depth, image):
-        guide = numpy.tensordot([0.2989, 0.5870, 0.1140], image, 1)
+        guide = luminance(image)
         y = 1 / depth[0]
         y = y / (y.mean() + 1e-7)
         a = (mean(guide * y) - mean(guide) * mean(y)) / (mean(guide**2) - mean(guide) ** 2 + 1e-3)
         b = mean(y) - a * mean(guide)
-        return (1 / numpy.maximum(mean(a) * guide + mean(b), 1e-3))[None]
+        return (mean(a) * guide + mean(b))[None]
 
-    return {"out.pseudo_depth": each(one, t["in.depth"], t["in.image"])}
+    luminance = lambda image: numpy.tensordot([0.2989, 0.5870, 0.1140], image, 1)
+    filtered = each(one, t["in.depth"], t["in.image"])
+    guide = each(luminance, t["in.image"])[:, None]
+    return {"out.guide": guide, "out.filtered": filtered, "out.pseudo_depth": 1 / numpy.maximum(filtered, 1e-3)}
 
 
 # Flows.
@@ -365,7 +620,8 @@ def dimode_exact(t):
 
 
 FILES = [
-    pose, warp, ssim, photometric, min_reproj, smoothness, normals, pseudo_guided, flow_masks,
+    pose, disp_depth, warp, ssim, photometric, min_reproj, smoothness, monodepth_total, sc_geometry, rectify, normals, lsr,
+    pseudo_guided, flow_masks,
     dimode_literal, dimode_robust, dimode_exact,
 ]  # fmt: skip
 
