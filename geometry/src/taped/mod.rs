@@ -10,7 +10,9 @@ pub mod pose;
 pub mod rigid_flow;
 pub mod smooth;
 pub mod so3_exp;
+pub mod visibility;
 pub mod warp;
+pub mod weighted;
 
 pub use alignment::{align, translation_in_target_frame};
 pub use pose::{Pose, source_from_target};

@@ -1,8 +1,13 @@
 //! Sampling, poses, masks and losses give the values and gradients of the reference.
 
+mod compared;
+mod competitors;
+mod dynamo;
+mod flow_losses;
+mod flow_masks;
 mod image;
 mod motion;
-mod pose_and_masks;
+mod pose;
 mod sampling;
 mod support;
 mod warp;
