@@ -7,6 +7,8 @@
 //! largest `f64` magnitude. Allowed are four times that share plus the spacing of `f32` near 1. For masks it holds how many
 //! entries may differ.
 //!
+//! Values of a scene without error are 0 but for rounding: in `f64` these are compared absolutely, see [`Compared::value_near`].
+//!
 //! A result that is stored as zeros must be zero exactly, in either precision.
 
 use std::cell::RefCell;
@@ -88,6 +90,18 @@ impl<T: Scalar> Compared<T> {
         self.numbers(name, found, 0);
     }
 
+    /// Compares a value that may be 0 but for rounding: in `f64` within `absolute`, or within the rule if that allows more.
+    #[track_caller]
+    pub fn value_near(&self, name: &str, found: &Tensor<T>, absolute: f64) {
+        if T::NAME == "f64" && self.scale[name] * VALUE < absolute {
+            let expected = self.take(name, found.data().len());
+            let worst = furthest(found, expected);
+            assert!(worst <= absolute, "{} f64: {name}: off by {worst:.2e}, allowed {absolute:.0e}", self.name);
+        } else {
+            self.value(name, found);
+        }
+    }
+
     /// Compares the gradients of each of `leaves`, stored as `PREFIX.LEAF`.
     #[track_caller]
     pub fn gradients(&self, prefix: &str, grads: &Gradients<T>, leaves: &[(&str, Var<'_, T>)]) {
@@ -125,8 +139,7 @@ impl<T: Scalar> Compared<T> {
         let expected = self.take(name, found.data().len());
         let scale = self.scale[name];
         let share = self.allowed(name, kind);
-        let error = |f: &T, e: &f64| if f.is_finite() { (f.to_f64() - e).abs() } else { f64::INFINITY };
-        let worst = found.data().iter().zip(expected).map(|(f, e)| error(f, e)).fold(0.0, f64::max);
+        let worst = furthest(found, expected);
         let allowed = share * scale;
         let relative = if worst == 0.0 { 0.0 } else { worst / scale };
         assert!(worst <= allowed, "{} {}: {name}: off by {relative:.2e} of {scale:.2e}, allowed {share:.2e}", self.name, T::NAME);
@@ -162,6 +175,12 @@ impl<T: Scalar> Compared<T> {
             println!("{} {}: {kind} furthest {relative:.1e} ({of_allowed:.2} of what is allowed) at {at}", self.name, T::NAME);
         }
     }
+}
+
+/// Largest difference; infinite when a number is not finite.
+fn furthest<T: Scalar>(found: &Tensor<T>, expected: &[f64]) -> f64 {
+    let error = |f: &T, e: &f64| if f.is_finite() { (f.to_f64() - e).abs() } else { f64::INFINITY };
+    found.data().iter().zip(expected).map(|(f, e)| error(f, e)).fold(0.0, f64::max)
 }
 
 /// `NAME.f32_noise.txt`: a result and its noise on each line, or the number of entries that differ.
