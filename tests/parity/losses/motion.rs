@@ -156,9 +156,8 @@ fn check_sums<T: Scalar>(c: &Compared<T>, row: &str, options: &LossOptions) {
     let [pla, axi, tan, rad] = terms.each_ref().map(|(_, term)| term.mean);
     c.value(&format!("out.{row}.stage3"), &axi.add(pla).scale(0.05).add(rad.add(tan).scale(0.1)).value());
     let planar = &terms[0].1;
-    let unbiased = planar
-        .per_image
-        .value()
+    let variances = planar.per_image.value();
+    let unbiased = variances
         .data()
         .iter()
         .zip(&planar.counts)
@@ -289,9 +288,15 @@ fn check_exact<T: Scalar>() {
                 check_exact_maps(&c, source, row, &options);
             }
             for (name, term) in terms(&exact_pair(&c, &tape, source, &options), &options) {
-                // What is 0 but for rounding is compared absolutely; an arccos next to cosine 1 keeps half of the digits.
-                let arccos = row != "robust" && (name == "L_axi" || name == "L_pla");
-                c.value_near(&format!("out.{source}.{row}.{name}"), &term.per_image.value(), if arccos { 5e-8 } else { 1e-12 });
+                // What is 0 but for rounding is compared absolutely; an arccos next to cosine 1 keeps half of the digits, and a
+                // variance is a square.
+                let absolute = match (name, row) {
+                    ("L_pla", _) => 1e-18,
+                    ("L_axi", "robust") => 1e-10,
+                    ("L_axi", _) => 5e-8,
+                    _ => 1e-10,
+                };
+                c.value_near(&format!("out.{source}.{row}.{name}"), &term.per_image.value(), absolute);
             }
         }
     }

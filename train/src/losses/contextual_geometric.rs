@@ -64,7 +64,8 @@ pub enum DivergenceForm {
     #[default]
     Corrected,
     /// As the public code: `D` for the source depth, the opposite sign of the gradient's term, and borders that see zeros. At the
-    /// truth its error is near 2, which never counts. For comparison only.
+    /// truth its error is 2 or, unless the translation is small beside the depth, anything: neither counts but by accident. For
+    /// comparison only.
     AsCoded,
 }
 
@@ -402,7 +403,7 @@ mod tests {
 
     #[test]
     fn divergence_and_slope_agree_at_the_truth_but_not_as_coded() {
-        exact(motion([0.0; 3], [0.0, 0.0, -1.0]), |inputs| {
+        exact(motion([0.0; 3], [0.0, 0.0, -0.02]), |inputs| {
             let errors = |form| divergence_agreement(inputs, ContextualForm::Corrected, form).errors;
             let inner = inner_pixels::<f64>(inputs.shape());
             let [good, coded] = [DivergenceForm::Corrected, DivergenceForm::AsCoded].map(|form| {
