@@ -12,7 +12,9 @@ pub mod projection;
 pub mod rigid_flow;
 pub mod smooth;
 pub mod so3_exp;
+pub mod visibility;
 pub mod warp;
+pub mod weighted;
 
 pub use alignment::{align, translation_in_target_frame};
 pub use derotate::{derotate, rotated_pixels};

@@ -212,14 +212,15 @@ def min_reproj(t):
     return out
 
 
-def edge_aware(d, image):
-    step = lambda x, axis: np.abs(x[:, :, :, 1:] - x[:, :, :, :-1]) if axis == 3 else np.abs(x[:, :, 1:] - x[:, :, :-1])
+def edge_aware(x, image):
+    """First differences weighted by exp(-mean_c |image difference|)."""
+    step = lambda x, axis: np.abs(np.diff(x, axis=axis))
     edge = lambda axis: np.exp(-np.mean(step(image, axis), 1, keepdims=True))
-    return np.mean(step(d, 3) * edge(3)) + np.mean(step(d, 2) * edge(2))
+    return np.mean(step(x, 3) * edge(3)) + np.mean(step(x, 2) * edge(2))
 
 
-def edge_aware_normalised(d, image):
-    return edge_aware(d / (np.mean(d, (2, 3), keepdims=True) + 1e-7), image)
+def edge_aware_normalised(x, image):
+    return edge_aware(x / (np.mean(x, (2, 3), keepdims=True) + 1e-7), image)
 
 
 def smoothness(t):
@@ -480,17 +481,175 @@ def in_view(flow):
     return (x >= 0) & (x <= W - 1) & (y >= 0) & (y <= H - 1)
 
 
+def range_map(flow):
+    """How many ones, moved along a flow and shared bilinearly among four pixels, arrive at each pixel."""
+    out = numpy.zeros((1, H, W))
+    x, y = U + flow[0], V + flow[1]
+    x0, y0 = numpy.floor(x).astype(int), numpy.floor(y).astype(int)
+    for u, v in ((x0, y0), (x0 + 1, y0), (x0, y0 + 1), (x0 + 1, y0 + 1)):
+        inside = (u >= 0) & (u < W) & (v >= 0) & (v < H)
+        share = (1 - abs(x - u)) * (1 - abs(y - v))
+        numpy.add.at(out[0], (v[inside], u[inside]), share[inside])
+    return out
+
+
 def flow_masks(t):
     forward, rigid = t["in.flow_fw"], t["in.rigid_flow"]
     back = each(lambda f, b: sample(b, U + f[0], V + f[1], "zeros"), forward, t["in.flow_bw"])
     square = lambda x: numpy.sum(x**2, 1, keepdims=True)
     moved = square(rigid - forward)[:, 0]
+    grid = numpy.array([2 / (W - 1), 2 / (H - 1)]).reshape(1, 2, 1, 1)
+    grid_moved = square((rigid - forward) * grid)[:, 0]
+    deviation, allowed = square(forward + back), 0.01 * (square(forward) + square(back)) + 0.5
+    reached = each(range_map, t["in.flow_bw"])
     return {
         "out.bw_warped": back,
-        "out.occluded_fb": square(forward + back) > 0.01 * (square(forward) + square(back)) + 0.5,
+        "out.fb_sq": deviation,
+        "out.fb_threshold": allowed,
+        "out.occluded_fb": deviation > allowed,
+        "out.dfvo_norm": numpy.sqrt(deviation),
         "out.in_view": each(in_view, forward)[:, None],
+        "out.range_map": reached,
+        "out.occluded_range_020": reached < 0.2,
+        "out.dynamo_mag": grid_moved,
+        "out.dynamo_static": grid_moved < grid_moved.mean(),
         "out.static_px_per_image": moved < moved.mean((1, 2), keepdims=True),
     }
+
+
+def dynamo(t):
+    logit, residual = t["in.logit"], t["in.residual_flow"]
+    mask = lambda logit: 1 / (1 + np.exp(-logit))
+    weight = (t["in.disp"] > 0.03) * (1 - mask(logit))
+    distance = numpy.sum((t["in.grid_ego"] - t["in.grid_complete"]) ** 2, -1)[:, None]
+    static = distance < distance.mean()
+    sparsity = lambda logit: np.sum(np.log(1 + np.exp(logit)) * static) / static.sum()
+    consistency = lambda residual: np.mean(weight * np.abs(residual))
+    smooth = lambda logit: edge_aware(mask(logit), t["in.image"])
+    return {
+        "out.mask": mask(logit),
+        "out.c_consistency": consistency(residual),
+        "grad_c_consistency.residual_flow": grad(consistency)(residual),
+        "grad_c_consistency.logit": numpy.zeros_like(logit),
+        "out.static": static,
+        "out.m_sparsity": sparsity(logit),
+        "grad_m_sparsity.logit": grad(sparsity)(logit),
+        "out.m_smooth": smooth(logit),
+        "grad_m_smooth.logit": grad(smooth)(logit),
+    }
+
+
+def census(a, b, r):
+    """Distance of the soft census codes, summed over windows of 2 r + 1 pixels; cells outside are 0."""
+
+    def codes(image):
+        grey = 255 * (0.2989 * image[:, :1] + 0.5870 * image[:, 1:2] + 0.1140 * image[:, 2:])
+        padded = np.pad(grey, ((0, 0), (0, 0), (r, r), (r, r)), "constant")
+        steps = [padded[:, :, i : i + H, j : j + W] - grey for i in range(2 * r + 1) for j in range(2 * r + 1)]
+        return [d / np.sqrt(0.81 + d**2) for d in steps]
+
+    return sum((x - y) ** 2 / (0.1 + (x - y) ** 2) for x, y in zip(codes(a), codes(b)))
+
+
+def flow_losses(t):
+    a, b, flow = t["in.image_a"], t["in.image_b"], t["in.flow"]
+    inner = lambda r: ((U >= r) & (U < W - r) & (V >= r) & (V < H - r))[None, None]
+    mask = t["in.mask"] * inner(3)
+    map3 = lambda b: census(a, b, 1) / 9 * inner(1)
+    census3 = lambda b: np.mean(map3(b))
+    census7 = lambda b: np.sum((census(a, b, 3) + 0.01) ** 0.4 * mask) / np.sum(mask + 1e-6)
+    out = {
+        "out.census3_map": map3(b),
+        "out.census3": census3(b),
+        "grad_census3.image_b": grad(census3)(b),
+        "out.census7_hamming": census(a, b, 3),
+        "out.census7": census7(b),
+        "grad_census7.image_b": grad(census7)(b),
+        "out.ternary_unflow_r3": np.sum((census(a, b, 3) ** 2 + 1e-6) ** 0.45 * mask) / (2 * H * W),
+    }
+
+    def second(flow, axis):
+        return np.diff(flow, n=2, axis=axis)
+
+    def arflow(flow):
+        edge = lambda axis: np.exp(-10 * np.mean(np.abs(np.diff(a, axis=axis)), 1, keepdims=True))
+        by_x, by_y = edge(3)[:, :, :, 1:] * np.abs(second(flow, 3)), edge(2)[:, :, 1:] * np.abs(second(flow, 2))
+        return np.mean(by_x) / 2 + np.mean(by_y) / 2
+
+    def smurf(flow):
+        wide = a[:, :, :, 2:] - a[:, :, :, :-2], a[:, :, 2:] - a[:, :, :-2]
+        edges = [np.exp(-np.mean(np.abs(150 * d), 1, keepdims=True)) for d in wide]
+        robust = [np.sqrt(second(flow, axis) ** 2 + 1e-6) for axis in (3, 2)]
+        return (np.mean(edges[0] * robust[0]) + np.mean(edges[1] * robust[1])) / 2
+
+    def dfvo(flow):
+        return edge_aware_normalised(np.sqrt(np.sum(flow**2, 1, keepdims=True)), a)
+
+    for name, loss in (("smooth2_arflow", arflow), ("smooth2_smurf", smurf), ("smooth1_dfvo", dfvo)):
+        out[f"out.{name}"], out[f"grad_{name}.flow"] = loss(flow), grad(loss)(flow)
+
+    truth = t["in.flow_gt"]
+    counts = (t["in.valid"] * (numpy.sqrt(numpy.sum(truth**2, 1)) < 400))[:, None]
+    sequence = lambda *all: sum(0.8 ** (2 - i) * np.mean(counts * np.abs(f - truth)) for i, f in enumerate(all))
+    predictions = [t[f"in.pred_{i}"] for i in range(3)]
+    out["out.raft_sequence"] = sequence(*predictions)
+    for i, value in enumerate(gradients(sequence, predictions)):
+        out[f"grad_raft.pred_{i}"] = value
+    return out
+
+
+def competitors(t):
+    names = "flow", "depth_t", "axisangle", "translation"
+    inputs = [t[f"in.{name}"] for name in names]
+    ks, mask, here = t["in.K"], t["in.mask"], numpy.stack([U, V])
+
+    def rigid(depth, w, tau):
+        def one(k, d, w, tau):
+            return pixels(project(k, rays(k) * d, rotation(w[0]), tau[0])) - here
+
+        return each(one, ks, depth, w, tau)
+
+    rotational = rigid(inputs[1], inputs[2], 0 * inputs[3])
+    # The public code comes back from sampling positions with W / 2 and H / 2 where (W - 1) / 2 and (H - 1) / 2 led there.
+    stretched = (rotational + here) * numpy.array([W / (W - 1), H / (H - 1)]).reshape(2, 1, 1) - here
+    q = numpy.stack([U - (W - 1) / 2, V - (H - 1) / 2])
+
+    def radial(flow, depth, w, tau, turned):
+        along = np.sum(q * (flow - turned), 1, keepdims=True)
+        implied = -tau[:, 0, 2].reshape(-1, 1, 1, 1) * (np.sum(q**2, 0) + along) / (along + 1e-5)
+        return np.abs(implied - depth) / (depth + 1e-5)
+
+    def triangulated(flow, depth, w, tau):
+        def one(k, f, d, w, tau):
+            b, a = rays(k), tau[0]
+            turned, s = np.tensordot(rotation(w[0]), b, 1), b[0] + f[0] / k[0, 0] + b[1] + f[1] / k[1, 1]
+            implied = (a[0] + a[1] - a[2] * s) / (turned[2] * s - (turned[0] + turned[1]) + 1e-5)
+            return np.abs(implied - d) / (d + 1e-5)
+
+        return each(one, ks, flow, depth, w, tau)
+
+    def gated(error):
+        kept = constant(error) < 2
+        return np.sum(np.where(kept, error, 0.0)) / kept.sum()
+
+    cross = lambda flow, *motion: np.sum(np.abs(rigid(*motion) - flow) * mask) / (np.sum(mask) + 1e-3)
+    out = {
+        "out.rigid_flow": rigid(*inputs[1:]),
+        "out.rot_flow": rotational,
+        "out.rot_flow_repo": stretched,
+        "out.cgdc_v2_ratio": np.minimum(radial(*inputs, rotational), 1e6),
+        "out.cgdc_v2_ratio_repo": np.minimum(radial(*inputs, stretched), 1e6),
+    }
+    for name, loss in (
+        ("cross_task", cross),
+        ("cgdc_v2", lambda *a: gated(radial(*a, rotational))),
+        ("cgdc_v2_repo", lambda *a: gated(radial(*a, stretched))),
+        ("cgdc_v1_corrected", lambda *a: gated(triangulated(*a))),
+    ):
+        out[f"out.{name}"] = loss(*inputs)
+        for leaf, value in zip(names, gradients(loss, inputs)):
+            out[f"grad_{name}.{leaf}"] = value
+    return out
 
 
 class Pair:
@@ -515,15 +674,24 @@ class Pair:
         length = lambda x: root(np.sum(x**2, 0))
         theta = arc(f[0], length(f))
         l_pla = mean(m, (theta - mean(m, theta)) ** 2)
-        l_axi = mean(m, arc(np.sum(g * q, 0), length(g) * length(q)))
+        axial = arc(np.sum(g * q, 0), length(g) * length(q))
+        l_axi = mean(m, axial)
         along = np.sum(g * q, 0)
+        self.parts = {"theta_pla": theta * m, "theta_axi": axial * m}
         safe = lambda x: np.where(m, x, 1.0)
         ratios = [self.focal[0] / safe(f[0]), self.focal[1] / safe(f[1]), -(along + np.sum(q**2, 0)) / safe(along)]
         terms = []
-        for rho, a in zip(ratios, self.a):
+        for axis, rho, a in zip("xyz", ratios, self.a):
+            self.parts[f"rho_{axis}"] = rho * m
             rho = safe(rho)
-            terms.append(mean(m, np.abs(rho * a - self.z) / self.z) + np.abs((mean(m, self.z / rho) - a) / a))
+            terms.append(self.both(axis, mean(m, np.abs(rho * a - self.z) / self.z), mean(m, self.z / rho), a, np.abs(a)))
         return l_pla, l_axi, terms[0] + terms[1], terms[2]
+
+    def both(self, axis, pixel, recovered, a, divisor):
+        """A + C along an axis, from A, the recovered component, the true one and what C is divided by."""
+        aggregate = np.abs(recovered - a) / divisor
+        self.parts |= {f"A_{axis}": pixel, f"rec_{axis}": recovered, f"C_{axis}": aggregate}
+        return pixel + aggregate
 
     def robust(self, form):
         m, f, g, q, a, z = self.base, self.f_pla, self.f_axi, self.q, self.a, self.z
@@ -535,7 +703,9 @@ class Pair:
         m_axi = m & (radius >= Q_MIN) & (g[0] ** 2 + g[1] ** 2 > TAU_F**2)
         along, across = np.sum(g * q, 0), q[0] * g[1] - q[1] * g[0]
         cosine = {"folded": np.abs(along), "signed": along, "pose_sign": along * (-1.0 if a[2] > 0 else 1.0)}[form]
-        l_axi = mean(m_axi, np.arctan2(np.abs(keep(m_axi, across, 0.0)), keep(m_axi, cosine, 1.0)))
+        axial = np.arctan2(np.abs(keep(m_axi, across, 0.0)), keep(m_axi, cosine, 1.0))
+        l_axi = mean(m_axi, axial)
+        self.parts = {"theta_pla": theta * m_pla, "theta_axi": axial * m_axi, "m_pla": m_pla, "m_axi": m_axi}
         radial = along / np.where(radius > 0, radius, 1.0)
         scaled, found, terms = [], [], []
         for i in (0, 1):
@@ -547,10 +717,12 @@ class Pair:
         scaled.append((chosen, -(along + radius**2) / keep(chosen, along, 1.0) * a[2]))
         found.append((whole, -z * keep(whole, along, 0.0) / keep(whole, along + radius**2, 1.0)))
         least = max(TAU_T, KAPPA * float(numpy.sqrt(numpy.sum(constant(a) ** 2))))
-        for (chosen, ratio), (used, recovered), a_k in zip(scaled, found, a):
+        for axis, (chosen, ratio), (used, recovered), a_k in zip("xyz", scaled, found, a):
             error = np.abs(keep(chosen, ratio, z) - z) / z
             gated = chosen & (error < GATE)
-            terms.append(mean(gated, error) + np.abs(mean(used, recovered) - a_k) / np.maximum(np.abs(a_k), least))
+            self.parts[f"m_{axis}"] = gated
+            divisor = np.maximum(np.abs(a_k), least)
+            terms.append(self.both(axis, mean(gated, error), mean(used, recovered), a_k, divisor))
         return l_pla, l_axi, terms[0] + terms[1], terms[2]
 
 
@@ -582,16 +754,45 @@ def rows(t, choices):
 
         inputs = [t[f"in.{leaf}"] for leaf in LEAVES]
         made = list(pairs(*inputs))
+        found = np.array([losses(p) for p in made])
+        for name in made[0].parts:
+            out[f"out.{row}.{name}"] = np.stack([p.parts[name] for p in made])
         for name in ("f_pla", "f_axi", "z_pla", "z_axi"):
             out[f"out.{row}.{name}"] = np.stack([getattr(p, name) for p in made])
         out[f"out.{row}.t_used"] = np.stack([p.a for p in made])
         out[f"out.{row}.m_base"] = np.stack([p.base for p in made])
         for i, term in enumerate(TERMS):
-            out[f"out.{row}.{term}"] = np.array([losses(p)[i] for p in made])
+            out[f"out.{row}.{term}"] = found[:, i]
+            out[f"out.{row}.{term}_batch"] = found[:, i].mean()
             loss = lambda *a: sum(losses(p)[i] for p in pairs(*a)) / len(made)
             for leaf, value in zip(LEAVES, gradients(loss, inputs)):
                 out[f"grad.{row}.{term}.{leaf}"] = value
+        out[f"out.{row}.stage3"] = np.dot([0.05, 0.05, 0.1, 0.1], found.mean(0))
+        counts = numpy.array([p.mask.sum() for p in made])
+        out[f"out.{row}.L_pla_unbiased"] = found[:, 0] * counts / (counts - 1)
+        ends = t["in.flow"] + numpy.stack([U, V])
+        at_source = each(lambda d, p: sample(d, p[0], p[1], "border"), t["in.depth_s"], ends)
+        directions = [((p - k[:2, 2:, None]) / numpy.diag(k)[:2, None, None]) for p, k in zip(ends, t["in.K"])]
+        out["out.D_st"], out[f"out.{row}.p_s"] = at_source, ends
+        out[f"out.{row}.P_s"] = at_source * np.stack([np.concatenate([d, np.ones((1, H, W))]) for d in directions])
     return out
+
+
+def printed_is_finite(t):
+    """Whether each printed loss without any guard is finite on the mask, image by image."""
+    finite = []
+    for n in range(2):
+        at_source = sample(t["in.depth_s"][n], U + t["in.flow"][n, 0], V + t["in.flow"][n, 1], "border")[0]
+        r, mask = rotation(t["in.axisangle"][n, 0]), t["in.mask"][n] > 0
+        p = Pair(t["in.K"][n], t["in.flow"][n], t["in.depth_t"][n], at_source, r, t["in.translation"][n, 0], mask, "literal")
+        f, g, q = p.f_pla, p.f_axi, p.q
+        length = lambda x: numpy.sqrt(numpy.sum(x**2, 0))
+        along = numpy.sum(g * q, 0)
+        with numpy.errstate(all="ignore"):
+            angles = numpy.arccos(f[0] / length(f)), numpy.arccos(along / (length(g) * length(q)))
+            ratios = 1 / f[0] + 1 / f[1], (along + numpy.sum(q**2, 0)) / along
+        finite.append([numpy.isfinite(x[mask]).all() for x in (*angles, *ratios)])
+    return numpy.array(finite)
 
 
 def dimode_literal(t):
@@ -600,7 +801,8 @@ def dimode_literal(t):
 
 def dimode_robust(t):
     forms = [("literal", "signed"), ("target", "folded"), ("target", "pose_sign")]
-    return rows(t, [(f"{frame}_{form}", frame, lambda p, form=form: p.robust(form)) for frame, form in forms])
+    out = rows(t, [(f"{frame}_{form}", frame, lambda p, form=form: p.robust(form)) for frame, form in forms])
+    return out | {"out.literal_finite": printed_is_finite(t)}
 
 
 def dimode_exact(t):
@@ -613,7 +815,12 @@ def dimode_exact(t):
             ("robust", "target", lambda p: p.robust("folded")),
         ):
             inputs = at("flow"), at("depth_t"), at("depth_s_at_ps")[:, 0], at("R"), at("t"), at("mask")
-            values = [losses(Pair(*one, frame)) for one in zip(t["in.K"], *inputs)]
+            made = [Pair(*one, frame) for one in zip(t["in.K"], *inputs)]
+            values = [losses(p) for p in made]
+            out[f"out.{source}.{row}.recovered"] = np.array([[p.parts[f"rec_{axis}"] for axis in "xyz"] for p in made])
+            out[f"out.{source}.{row}.f_pla"] = np.stack([p.f_pla for p in made])
+            out[f"out.{source}.{row}.f_axi"] = np.stack([p.f_axi for p in made])
+            out[f"out.{source}.t_target_frame"] = np.stack([p.a for p in made])
             for i, term in enumerate(TERMS):
                 out[f"out.{source}.{row}.{term}"] = np.array([v[i] for v in values])
     return out
@@ -621,7 +828,7 @@ def dimode_exact(t):
 
 FILES = [
     pose, disp_depth, warp, ssim, photometric, min_reproj, smoothness, monodepth_total, sc_geometry, rectify, normals, lsr,
-    pseudo_guided, flow_masks,
+    pseudo_guided, flow_masks, dynamo, flow_losses, competitors,
     dimode_literal, dimode_robust, dimode_exact,
 ]  # fmt: skip
 

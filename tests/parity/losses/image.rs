@@ -70,7 +70,7 @@ fn min_reprojection_in<T: Scalar>() {
             golden.numbers_match("out.reprojection", &stacked(&errors.iter().map(|e| e.value()).collect::<Vec<_>>()));
             golden.matches("out.min", &best.error.value());
             golden.labels_match("out.argmin", best.winners.iter().map(|&w| f64::from(w)));
-            golden.labels_match("out.automask", best.mask.data().iter().map(|m| m.to_f64()));
+            golden.mask_matches("out.automask", &best.mask);
         }
         let loss = best.error.mean();
         golden.matches(value, &loss.value());

@@ -2,7 +2,7 @@
 
 use dimode::losses::view_pair::{View, ViewPair};
 use dimode::losses::{sc_depth_pair, sc_sfm_pair};
-use dimode_autodiff::{Scalar, Shape, Tape, Tensor, Var};
+use dimode_autodiff::{Scalar, Shape, Tape, Var};
 use dimode_geometry::Intrinsics;
 use dimode_geometry::taped::so3_exp::rotation_matrix;
 use dimode_geometry::taped::{Pose, RotationForm, SampleGrid};
@@ -42,10 +42,6 @@ impl<'t, T: Scalar> Scene<'t, T> {
     }
 }
 
-fn numbers<T: Scalar>(mask: &Tensor<T>) -> Vec<f64> {
-    mask.data().iter().map(|m| m.to_f64()).collect()
-}
-
 fn later_program<T: Scalar>(golden: &Compared<T>) {
     let tape = Tape::new();
     let scene = Scene::new(&tape, golden);
@@ -61,8 +57,8 @@ fn later_program<T: Scalar>(golden: &Compared<T>) {
     ] {
         golden.matches(&format!("out.pl_{name}"), &map.value());
     }
-    golden.labels_match("out.pl_auto", numbers(&maps.auto_mask));
-    golden.labels_match("out.pl_valid", numbers(&maps.valid));
+    golden.mask_matches("out.pl_auto", &maps.auto_mask);
+    golden.mask_matches("out.pl_valid", &maps.valid);
     let loss = sc_depth_pair::pair_loss(&[maps], sc_depth_pair::MIN_PIXELS);
     scene.compare(golden, "pl_photo", loss.photo);
     scene.compare(golden, "pl_geometry", loss.geometry);
@@ -82,8 +78,8 @@ fn first_program<T: Scalar>(golden: &Compared<T>) {
     ] {
         golden.matches(&format!("out.rel_{name}"), &map.value());
     }
-    golden.labels_match("out.rel_valid", numbers(&maps.in_view));
-    golden.labels_match("out.rel_mask", numbers(&maps.valid));
+    golden.mask_matches("out.rel_valid", &maps.in_view);
+    golden.mask_matches("out.rel_mask", &maps.valid);
     let loss = sc_sfm_pair::pair_loss(&[maps], 0);
     scene.compare(golden, "rel_photo", loss.photo);
     scene.compare(golden, "rel_geometry", loss.geometry);

@@ -1,10 +1,10 @@
-//! Poses of network outputs, and validity masks.
+//! Poses of network outputs.
 
 use crate::compared::Compared;
 use crate::support::{close, open};
 use dimode_autodiff::{Scalar, Shape, Tape, Tensor};
 use dimode_geometry::taped::so3_exp::rotation_matrix;
-use dimode_geometry::taped::{Pose, RotationForm, masks, source_from_target};
+use dimode_geometry::taped::{Pose, RotationForm, source_from_target};
 use dimode_tests::Golden;
 
 const COUNT: usize = 5;
@@ -66,18 +66,4 @@ fn exponential_form_differs_by_the_guard_only() {
     let pose = source_from_target(tape.leaf(w), tape.leaf(tau), false, RotationForm::Exponential);
     close("rotation", pose.rotation.value().data(), split::<f64>(&golden, "out.T")[0].data(), 5e-7, 0.0);
     assert!(pose.to_se3().iter().all(|m| m.is_orthonormal(1e-14)));
-}
-
-#[test]
-fn masks_match() {
-    let golden = open("flow_masks");
-    let (forward, backward) = (golden.map("in.flow_fw"), golden.map("in.flow_bw"));
-    let sampled = masks::backward_at_forward(&forward, &backward);
-    close("bw_warped", sampled.data(), golden.numbers("out.bw_warped"), 1e-12, 1e-11);
-    let occluded: Vec<f64> = masks::not_occluded(&forward, &backward).data().iter().map(|m| 1.0 - m).collect();
-    assert_eq!(occluded, golden.numbers("out.occluded_fb"));
-    assert_eq!(masks::in_view(&forward).to_vec(), golden.numbers("out.in_view"));
-    let rigid = golden.map("in.rigid_flow");
-    let still = masks::static_pixels(&rigid, &forward, None);
-    assert_eq!(still.to_vec(), golden.numbers("out.static_px_per_image"));
 }
