@@ -6,21 +6,18 @@ use dimode::losses::contextual_geometric::{
 use dimode::losses::cross_task::cross_task;
 use dimode_autodiff::{Scalar, Tape, Tensor, Var, pixel_grid};
 use dimode_geometry::Intrinsics;
-use dimode_geometry::taped::pose::source_from_target;
-use dimode_geometry::taped::{Pose, RotationForm, rigid_flow};
+use dimode_geometry::taped::{Divisor, Pose, RotationForm, back_project, project, source_from_target};
 
 use crate::compared::Compared;
 
 /// Inputs in the order of the stored gradients' names.
 const LEAVES: [&str; 4] = ["flow", "depth_t", "axisangle", "translation"];
 
-/// The rigid flow of the reference, which divides by the depth plus 1e-7: `(p + f) z / (z + 1e-7) - p`.
+/// The rigid flow of the reference, which divides by the depth plus 1e-7.
 fn guarded_flow<'t, T: Scalar>(depth: Var<'t, T>, pose: Pose<'t, T>, intrinsics: &[Intrinsics]) -> Var<'t, T> {
-    let exact = rigid_flow(depth, pose.rotation, pose.translation, intrinsics);
-    let (flow, z) = (exact.slice(1, 0, 2), exact.slice(1, 2, 1));
-    let grid = depth.tape().constant(pixel_grid(flow.shape()));
-    let share = z.div(z.add_scalar(1e-7)).broadcast_to(flow.shape());
-    flow.add(grid).mul(share).sub(grid)
+    let points = back_project(depth, intrinsics);
+    let seen = project(points, pose.rotation, pose.translation, intrinsics, Divisor::PlusGuard);
+    seen.pixels.sub(depth.tape().constant(pixel_grid(depth.shape())))
 }
 
 struct Scene<'t, T: Scalar> {

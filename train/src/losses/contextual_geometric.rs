@@ -21,6 +21,8 @@ use dimode_autodiff::ops::pad::Sides;
 use dimode_autodiff::{Scalar, Shape, Tensor, Var};
 use dimode_geometry::Intrinsics;
 
+use super::masked::batch_mean;
+
 /// Keeps denominators away from 0 where they are positive; where they are not, the gate does.
 const GUARD: f64 = 1e-5;
 /// Relative errors of depths from here on do not count.
@@ -295,7 +297,7 @@ fn depth_error<'t, T: Scalar>(upper: Var<'t, T>, lower: Var<'t, T>, depth: Var<'
     let safe = |x: Var<'t, T>| x.select(&kept, one);
     let depth = safe(depth);
     let error = safe(upper).div(safe(lower)).sub(depth).abs().div(depth.add_scalar(GUARD));
-    Gated { mean: batch_mean(error, &kept), errors, kept }
+    Gated { mean: batch_mean(error, &kept, 0), errors, kept }
 }
 
 /// `|difference / size|` over the entries of `mask`, gated.
@@ -314,20 +316,13 @@ fn relative<'t, T: Scalar>(difference: Var<'t, T>, size: Var<'t, T>, mask: Optio
     let kept = below(&errors, gate);
     let one = size.tape().constant(Tensor::full(shape, T::ONE));
     let error = difference.select(&kept, one).div(size.select(&kept, one)).abs();
-    Gated { mean: batch_mean(error, &kept), errors, kept }
+    Gated { mean: batch_mean(error, &kept, 0), errors, kept }
 }
 
 /// 1 where an error is below the gate (NaN is not).
 fn below<T: Scalar>(errors: &Tensor<T>, gate: f64) -> Tensor<T> {
     let gate = T::from_f64(gate);
     Tensor::from_vec(errors.shape(), errors.data().iter().map(|&e| if e < gate { T::ONE } else { T::ZERO }).collect())
-}
-
-/// Mean over the kept entries of the whole batch.
-fn batch_mean<'t, T: Scalar>(x: Var<'t, T>, kept: &Tensor<T>) -> Var<'t, T> {
-    let s = x.shape();
-    let one_sample = Shape::new(1, s.n() * s.c(), s.h(), s.w());
-    x.reshape(one_sample).masked_mean(&kept.reshaped(one_sample))
 }
 
 #[cfg(test)]

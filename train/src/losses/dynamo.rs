@@ -21,6 +21,7 @@ use dimode_autodiff::{Scalar, Shape, Tensor, Var};
 use dimode_geometry::Intrinsics;
 use dimode_geometry::taped::{MIN_DEPTH, Pose};
 
+use super::masked::batch_mean;
 use super::smoothness::edge_aware;
 
 /// Disparities up to this one (sigmoid) count as infinitely far, where no motion can be seen.
@@ -158,10 +159,8 @@ pub fn consistency<'t, T: Scalar>(residual: Var<'t, T>, mask: &Tensor<T>, dispar
 pub fn sparsity<'t, T: Scalar>(logit: Var<'t, T>, static_pixels: &Tensor<T>) -> Var<'t, T> {
     let s = logit.shape();
     assert!(static_pixels.shape() == s, "sparsity: static pixels {} and logits {s} differ", static_pixels.shape());
-    let whole = Shape::new(1, s.n() * s.c(), s.h(), s.w());
     let zero = logit.tape().constant(Tensor::zeros(s));
-    let entropy = logit.select(static_pixels, zero).log1p_exp();
-    entropy.reshape(whole).masked_mean(&static_pixels.reshaped(whole))
+    batch_mean(logit.select(static_pixels, zero).log1p_exp(), static_pixels, 0)
 }
 
 /// Edge-aware smoothness of the mask `[n, 1, h, w]` under images.

@@ -18,7 +18,7 @@ use dimode_autodiff::{Scalar, Tensor, Var};
 use dimode_geometry::taped::smooth::length;
 
 use super::charbonnier::charbonnier;
-use super::smoothness::smoothness;
+use super::smoothness::{edge_weights, smoothness, steps, weighted};
 
 /// Size below which SMURF's penalty is quadratic, pixels.
 const TIP: f64 = 1e-3;
@@ -58,48 +58,21 @@ pub fn flow_smoothness<'t, T: Scalar>(flow: Var<'t, T>, images: &Tensor<T>, form
         "flow_smoothness: flow {f} and images {i} must have equal sizes of at least {least} x {least}"
     );
     let robust = |x: Var<'t, T>| charbonnier(x, TIP, 0.5);
-    let both = |axis_term: &dyn Fn(usize) -> Var<'t, T>| axis_term(2).add(axis_term(3)).scale(0.5);
+    let both = |penalty: &dyn Fn(usize) -> Var<'t, T>, gap: [usize; 2], edge: f64| {
+        let [rows, columns] =
+            [2, 3].map(|axis| weighted(penalty(axis), flow.tape().constant(edge_weights(images, axis, gap, edge))));
+        rows.add(columns).scale(0.5)
+    };
     match form {
         FlowSmoothness::Length => smoothness(length(flow.slice(1, 0, 1), flow.slice(1, 1, 1), 0.0), images),
-        FlowSmoothness::First { edge } => {
-            both(&|axis| weighted(robust(forward(flow, axis)), &edge_weight(images, axis, [0, 1], edge)))
-        }
-        FlowSmoothness::Second { edge } => {
-            both(&|axis| weighted(second(flow, axis).abs(), &edge_weight(images, axis, [1, 2], edge)))
-        }
-        FlowSmoothness::SecondWide { edge } => {
-            both(&|axis| weighted(robust(second(flow, axis)), &edge_weight(images, axis, [0, 2], edge)))
-        }
+        FlowSmoothness::First { edge } => both(&|axis| robust(steps(flow, axis)), [0, 1], edge),
+        FlowSmoothness::Second { edge } => both(&|axis| second(flow, axis).abs(), [1, 2], edge),
+        FlowSmoothness::SecondWide { edge } => both(&|axis| robust(second(flow, axis)), [0, 2], edge),
     }
 }
 
-/// `x(i + 1) - x(i)` along an axis.
-fn forward<T: Scalar>(x: Var<'_, T>, axis: usize) -> Var<'_, T> {
-    let len = x.shape().0[axis] - 1;
-    x.slice(axis, 1, len).sub(x.slice(axis, 0, len))
-}
-
 fn second<T: Scalar>(x: Var<'_, T>, axis: usize) -> Var<'_, T> {
-    forward(forward(x, axis), axis)
-}
-
-/// Mean of the penalties times one weight for all channels.
-fn weighted<'t, T: Scalar>(penalty: Var<'t, T>, weight: &Tensor<T>) -> Var<'t, T> {
-    let weight = penalty.tape().constant(weight.clone()).broadcast_to(penalty.shape());
-    penalty.mul(weight).mean()
-}
-
-/// `exp(-edge mean_c |I(i + to) - I(i + from)|)` along an axis, one channel, `to` entries fewer.
-fn edge_weight<T: Scalar>(images: &Tensor<T>, axis: usize, [from, to]: [usize; 2], edge: f64) -> Tensor<T> {
-    let mut shape = images.shape().with_c(1);
-    shape.0[axis] -= to;
-    let channels = images.shape().c();
-    let scale = T::from_f64(-edge / channels as f64);
-    Tensor::from_fn(shape, |n, _, h, w| {
-        let at = |c: usize, by: usize| if axis == 2 { images.at(n, c, h + by, w) } else { images.at(n, c, h, w + by) };
-        let sum = (0..channels).map(|c| (at(c, to) - at(c, from)).abs()).fold(T::ZERO, |a, b| a + b);
-        (scale * sum).exp()
-    })
+    steps(steps(x, axis), axis)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Mean of a map over the chosen pixels of a whole batch.
 
-use dimode_autodiff::{Scalar, Tensor, Var};
+use dimode_autodiff::{Scalar, Shape, Tensor, Var};
 
 /// `(sum of x where the mask is not 0) / count`, all samples together; 0 without gradient unless more than `more_than` entries
 /// count.
@@ -9,12 +9,11 @@ use dimode_autodiff::{Scalar, Tensor, Var};
 /// which may hold anything. **Panics** when the shapes differ.
 #[track_caller]
 pub fn batch_mean<'t, T: Scalar>(map: Var<'t, T>, mask: &Tensor<T>, more_than: usize) -> Var<'t, T> {
-    let nothing = map.tape().constant(Tensor::zeros(map.shape()));
-    let count = mask.data().iter().filter(|&&m| m != T::ZERO).count();
-    if count <= more_than {
-        return map.select(&Tensor::zeros(mask.shape()), nothing).sum();
-    }
-    map.select(mask, nothing).sum().scale(1.0 / count as f64)
+    let (s, count) = (map.shape(), mask.data().iter().filter(|&&m| m != T::ZERO).count());
+    let chosen = if count > more_than { mask.clone() } else { Tensor::zeros(mask.shape()) };
+    let whole = Shape::new(1, s.n() * s.c(), s.h(), s.w());
+    assert!(mask.shape() == s, "batch_mean: mask {} and map {s} differ", mask.shape());
+    map.reshape(whole).masked_mean(&chosen.reshaped(whole))
 }
 
 #[cfg(test)]

@@ -14,10 +14,12 @@ use pulp::{Arch, Simd, WithSimd};
 
 /// Weight of the dissimilarity.
 pub const ALPHA: f64 = 0.85;
-const C1: f64 = 0.01 * 0.01;
-const C2: f64 = 0.03 * 0.03;
+/// Keeps the quotient of means away from 0 / 0.
+pub(super) const C1: f64 = 0.01 * 0.01;
+/// Keeps the quotient of variances away from 0 / 0.
+pub(super) const C2: f64 = 0.03 * 0.03;
 /// Colours are moved by this much before sums are taken.
-const SHIFT: f64 = 0.5;
+pub(super) const SHIFT: f64 = 0.5;
 
 /// Error map `[n, 1, h, w]` of `warped` against `target`, both `[n, c, h, w]` with colours in [0, 1].
 ///

@@ -25,10 +25,8 @@ pub fn edge_aware<'t, T: Scalar>(map: Var<'t, T>, images: &Tensor<T>, edge: f64)
         "smoothness: map {s} and images {i} must have equal sizes of at least 2 x 2"
     );
     let terms = [2, 3].map(|axis| {
-        let len = s.0[axis] - 1;
-        let difference = map.slice(axis, 1, len).sub(map.slice(axis, 0, len)).abs();
-        let weight = map.tape().constant(edge_weights(images, axis, edge));
-        difference.mul(weight.broadcast_to(difference.shape())).mean()
+        let weight = map.tape().constant(edge_weights(images, axis, [0, 1], edge));
+        weighted(steps(map, axis).abs(), weight)
     });
     terms[0].add(terms[1])
 }
@@ -39,14 +37,9 @@ pub fn edge_aware<'t, T: Scalar>(map: Var<'t, T>, images: &Tensor<T>, edge: f64)
 /// When sizes differ or a side is shorter than 2 pixels.
 #[track_caller]
 pub fn edge_aware_of_both<'t, T: Scalar>(map: Var<'t, T>, images: Var<'t, T>, edge: f64) -> Var<'t, T> {
-    let steps = |x: Var<'t, T>, axis: usize| {
-        let len = x.shape().0[axis] - 1;
-        x.slice(axis, 1, len).sub(x.slice(axis, 0, len)).abs()
-    };
     let terms = [2, 3].map(|axis| {
-        let difference = steps(map, axis);
-        let weight = steps(images, axis).mean_channels().scale(-edge).exp();
-        difference.mul(weight.broadcast_to(difference.shape())).mean()
+        let weight = steps(images, axis).abs().mean_channels().scale(-edge).exp();
+        weighted(steps(map, axis).abs(), weight)
     });
     terms[0].add(terms[1])
 }
@@ -57,16 +50,26 @@ pub fn mean_normalised<'t, T: Scalar>(map: Var<'t, T>) -> Var<'t, T> {
     map.div(mean.broadcast_to(map.shape()))
 }
 
-/// `exp(-edge mean_c |I_axis|)` by forward differences along rows (2) or columns (3), one channel.
-fn edge_weights<T: Scalar>(images: &Tensor<T>, axis: usize, edge: f64) -> Tensor<T> {
+/// `x(i + 1) - x(i)` along rows (2) or columns (3).
+pub(super) fn steps<T: Scalar>(x: Var<'_, T>, axis: usize) -> Var<'_, T> {
+    let len = x.shape().0[axis] - 1;
+    x.slice(axis, 1, len).sub(x.slice(axis, 0, len))
+}
+
+/// Mean of penalties times one weight for all channels.
+pub(super) fn weighted<'t, T: Scalar>(penalty: Var<'t, T>, weight: Var<'t, T>) -> Var<'t, T> {
+    penalty.mul(weight.broadcast_to(penalty.shape())).mean()
+}
+
+/// `exp(-edge mean_c |I(i + to) - I(i + from)|)` along rows (2) or columns (3), one channel, `to` entries fewer.
+pub(super) fn edge_weights<T: Scalar>(images: &Tensor<T>, axis: usize, [from, to]: [usize; 2], edge: f64) -> Tensor<T> {
     let mut shape = images.shape().with_c(1);
-    shape.0[axis] -= 1;
-    let (dy, dx) = if axis == 2 { (1, 0) } else { (0, 1) };
+    shape.0[axis] -= to;
     let channels = images.shape().c();
     let scale = T::from_f64(-edge / channels as f64);
     Tensor::from_fn(shape, |n, _, h, w| {
-        let sum =
-            (0..channels).map(|c| (images.at(n, c, h + dy, w + dx) - images.at(n, c, h, w)).abs()).fold(T::ZERO, |a, b| a + b);
+        let at = |c: usize, by: usize| if axis == 2 { images.at(n, c, h + by, w) } else { images.at(n, c, h, w + by) };
+        let sum = (0..channels).map(|c| (at(c, to) - at(c, from)).abs()).fold(T::ZERO, |a, b| a + b);
         (scale * sum).exp()
     })
 }

@@ -9,10 +9,7 @@
 
 use dimode_autodiff::{Scalar, Var};
 
-const C1: f64 = 0.01 * 0.01;
-const C2: f64 = 0.03 * 0.03;
-/// Colours are moved by this much before squares are averaged.
-const SHIFT: f64 = 0.5;
+use super::photometric::{C1, C2, SHIFT};
 
 /// What happens to windows that reach over the border.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
