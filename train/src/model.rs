@@ -1,6 +1,6 @@
 //! The three networks of a run, and their weights.
 
-use dimode_autodiff::{Shape, Tensor, Var};
+use dimode_autodiff::{Scalar, Shape, Tensor, Var};
 use dimode_nets::{Binder, DepthNet, FlowNet, Network, ParamSet, PoseNet};
 
 use crate::config::{NetsConfig, SCALE_ANCHOR};
@@ -15,9 +15,19 @@ pub struct DepthRange {
 }
 
 impl DepthRange {
+    /// Monodepth2's: 0.1 to 100.
+    pub const MONODEPTH: DepthRange = DepthRange { min: 0.1, max: 100.0 };
+    /// Of both SC-Depth programs, `1 / depth = 10 disparity + 0.01`: 0.0999 to 100.
+    pub const SC_DEPTH: DepthRange = DepthRange { min: 1.0 / 10.01, max: 100.0 };
+
     /// Depth `[n, 1, h, w]` of disparities in (0, 1).
-    pub fn depth<'t>(self, disparity: Var<'t, f32>) -> Var<'t, f32> {
-        disparity.scale(1.0 / self.min - 1.0 / self.max).add_scalar(1.0 / self.max).recip()
+    pub fn depth<'t, T: Scalar>(self, disparity: Var<'t, T>) -> Var<'t, T> {
+        self.inverse_depth(disparity).recip()
+    }
+
+    /// `1 / depth`, `[n, 1, h, w]`, of disparities in (0, 1).
+    pub fn inverse_depth<'t, T: Scalar>(self, disparity: Var<'t, T>) -> Var<'t, T> {
+        disparity.scale(1.0 / self.min - 1.0 / self.max).add_scalar(1.0 / self.max)
     }
 
     /// Depth at the mean disparity near which training holds a network ([`SCALE_ANCHOR`]).
@@ -108,4 +118,28 @@ pub fn stack<'a>(images: impl IntoIterator<Item = &'a crate::data::Image>) -> Te
     let shape = Shape::new(images.len(), first.channels, first.height, first.width);
     let data: Vec<f32> = images.iter().flat_map(|i| i.data.iter().copied()).collect();
     Tensor::from_vec(shape, data)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dimode_autodiff::gradcheck::{random, weighted_sum};
+    use dimode_autodiff::{GradCheck, Tape, gradcheck};
+
+    #[test]
+    fn disparities_reach_from_the_largest_depth_to_the_smallest() {
+        let tape = Tape::<f64>::new();
+        let ends = tape.constant(Tensor::from_vec(Shape::new(1, 1, 1, 2), vec![0.0, 1.0]));
+        for (range, near) in [(DepthRange::MONODEPTH, 0.1), (DepthRange::SC_DEPTH, 1.0 / 10.01)] {
+            let depth = range.depth(ends).value();
+            assert!((depth.data()[0] - 100.0).abs() < 1e-10 && (depth.data()[1] - near).abs() < 1e-15, "{depth:?}");
+        }
+    }
+
+    #[test]
+    fn gradient_of_the_depth_matches_finite_differences() {
+        let disparity = random(1, Shape::new(1, 1, 3, 4), 0.2, 0.9);
+        let check = GradCheck { step: 1e-5, ..GradCheck::default() };
+        gradcheck(&[disparity], |_, v| weighted_sum(DepthRange::SC_DEPTH.depth(v[0]), 2), check).assert_ok();
+    }
 }

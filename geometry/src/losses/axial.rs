@@ -4,9 +4,10 @@ use dimode_autodiff::{Scalar, Tensor, Var};
 use serde::{Deserialize, Serialize};
 
 use super::pair::AxialProducts;
-use super::{AlignedPair, LossOptions, LossTerm};
+use super::{AlignedPair, Angles, LossOptions, LossTerm};
 use crate::taped::masks;
 use crate::taped::smooth::{length, soft_abs};
+use crate::taped::weighted::weighted_mean;
 
 /// Forms of `L_axi`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,14 +28,23 @@ pub enum AxialForm {
 /// Evaluates `L_axi`.
 #[must_use]
 pub fn axial<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
-    let (per_image, mask) = match options.axial {
+    let (per_image, mask) = match axial_angles(pair, options) {
+        Some(Angles { angle, mask }) => (weighted_mean(angle, &mask), mask),
+        None => perpendicular(pair, options),
+    };
+    LossTerm::new(per_image, &mask, options.min_valid_share)
+}
+
+/// The angles whose mean `L_axi` is, in the form that the options ask for; `None` for the form in pixels.
+#[must_use]
+pub fn axial_angles<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> Option<Angles<'t, T>> {
+    Some(match options.axial {
         AxialForm::Literal => literal(pair),
-        AxialForm::PerpendicularPixels => perpendicular(pair, options),
+        AxialForm::PerpendicularPixels => return None,
         AxialForm::Signed => angle(pair, options, |p| p.along),
         AxialForm::Folded => angle(pair, options, |p| p.along.abs()),
         AxialForm::PoseSign => angle(pair, options, |p| p.along.mul(pose_sign(pair))),
-    };
-    LossTerm::new(per_image, &mask, options.min_valid_share)
+    })
 }
 
 /// `-sign(a_z)` at every pixel, without gradient.
@@ -56,7 +66,7 @@ fn directed<T: Scalar>(pair: &AlignedPair<'_, T>, q_min: f64, tau_flow: f64) -> 
     })
 }
 
-fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> (Var<'t, T>, Tensor<T>) {
+fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Angles<'t, T> {
     let mask = directed(pair, 0.0, 0.0);
     let part = |c| pair.keep(pair.axial_flow.slice(1, c, 1), &mask, 1.0);
     let (u, v) = (part(0), part(1));
@@ -65,19 +75,19 @@ fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> (Var<'t, T>, Tensor<T>) 
     let cosine = u.mul(d_u).add(v.mul(d_v)).div(sizes).clamp(-1.0, 1.0);
     // Outside the mask the angle takes the constant cosine 0.5: no infinite derivative.
     let angle = pair.keep(cosine, &mask, 0.5).acos();
-    (angle.masked_mean(&mask), mask)
+    Angles { angle, mask }
 }
 
 fn angle<'t, T: Scalar>(
     pair: &AlignedPair<'t, T>,
     options: &LossOptions,
     cosine: impl Fn(AxialProducts<'t, T>) -> Var<'t, T>,
-) -> (Var<'t, T>, Tensor<T>) {
+) -> Angles<'t, T> {
     let mask = directed(pair, options.q_min, options.tau_flow);
     let products = pair.axial_products(&mask);
     let across = pair.keep(products.across.abs(), &mask, 0.0);
     let along = pair.keep(cosine(products), &mask, 1.0);
-    (across.atan2(along).masked_mean(&mask), mask)
+    Angles { angle: across.atan2(along), mask }
 }
 
 fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> (Var<'t, T>, Tensor<T>) {
@@ -88,5 +98,5 @@ fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions
         move |i| radius[i].to_f64() > q_min
     });
     let distance = pair.axial_products(&mask).across.div(pair.constant(&pair.radius_from(q_min)));
-    (pair.beyond_noise(soft_abs(distance, options.smooth_pixels)).masked_mean(&mask), mask)
+    (weighted_mean(pair.beyond_noise(soft_abs(distance, options.smooth_pixels)), &mask), mask)
 }

@@ -175,6 +175,46 @@ fn gradients_match_differences() {
     }
 }
 
+/// Weights of a soft mask, two columns of them 0.
+fn soft() -> Tensor<f64> {
+    let weights = random::<f64>(9, shape(1), 0.2, 0.5);
+    Tensor::from_fn(shape(1), |n, c, h, w| if w < 2 { 0.0 } else { weights.at(n, c, h, w) })
+}
+
+#[test]
+fn gradients_under_soft_weights_match_differences() {
+    let inputs = perturbed(motions([-0.5, 0.55]));
+    let settings = GradCheck { step: 1e-7, atol: 2e-7, rtol: 1e-5, ..GradCheck::default() };
+    for options in presets() {
+        type Loss = for<'t> fn(&AlignedPair<'t, f64>, &LossOptions) -> LossTerm<'t, f64>;
+        for loss in [planar as Loss, axial, tangential, radial] {
+            gradcheck(&inputs, |_, v| loss(&pair_of(v, &soft(), &options), &options).mean, settings).assert_ok();
+        }
+    }
+}
+
+#[test]
+fn soft_weights_weigh_and_only_their_ratios_matter() {
+    let leaves = perturbed(motions([-0.5, 0.55]));
+    let under = |factor: f64, power: i32, options: &LossOptions| -> Vec<f64> {
+        let weights = soft();
+        let weights = Tensor::from_vec(weights.shape(), weights.data().iter().map(|w| factor * w.powi(power)).collect());
+        let tape = Tape::new();
+        let v = leaves.clone().map(|x| tape.leaf(x));
+        let pair = pair_of(&v, &weights, options);
+        [planar(&pair, options), axial(&pair, options), tangential(&pair, options), radial(&pair, options)]
+            .iter()
+            .flat_map(|term| term.per_image.value().to_vec())
+            .collect()
+    };
+    for options in presets() {
+        for ((one, two), other) in under(1.0, 1, &options).iter().zip(under(2.0, 1, &options)).zip(under(1.0, 3, &options)) {
+            assert!((one - two).abs() < 1e-12 * (1.0 + one.abs()), "{options:?}: {one} {two}");
+            assert!((one - other).abs() > 1e-6 * one.abs(), "{options:?}: {one} {other}");
+        }
+    }
+}
+
 #[test]
 fn detached_depth_and_direction_receive_no_gradient() {
     // As printed a = t, and the planar flow reads a_z alone: a_x and a_y reach L_pla by the direction only.

@@ -6,6 +6,8 @@
 //! never pooled. All forms are invariant under a common scale of depths and translation, except
 //! where a threshold in depth units acts.
 //!
+//! Masks may hold weights between 0 and 1, such as one minus the probability of motion: every mean and variance is weighted.
+//!
 //! Arguments at pixels outside a mask are replaced by constants before any division, root or angle, so
 //! neither values nor gradients of unusable pixels can spread.
 
@@ -16,15 +18,17 @@ mod options;
 mod pair;
 pub mod planar;
 pub mod radial;
+pub mod ratio_term;
 mod static_mask;
 pub mod tangential;
 mod term;
 
-pub use axial::{AxialForm, axial};
+pub use axial::{AxialForm, axial, axial_angles};
 pub use options::LossOptions;
 pub use pair::{AlignedPair, PairInputs};
-pub use planar::{PlanarForm, planar};
+pub use planar::{PlanarForm, planar, planar_angles};
 pub use radial::{RadialForm, radial};
+pub use ratio_term::{RatioTerm, ratio_term};
 pub use static_mask::StaticMask;
 pub use tangential::{TangentialForm, tangential};
-pub use term::LossTerm;
+pub use term::{Angles, LossTerm};

@@ -25,7 +25,7 @@ pub struct PairInputs<'a, 't, T: Scalar> {
     pub translation: Var<'t, T>,
     /// Camera of every sample, at the size of the maps.
     pub intrinsics: &'a [Intrinsics],
-    /// Pixels to use, for example static and not occluded, (N,1,H,W).
+    /// Pixels to use, for example static and not occluded, (N,1,H,W): 0 or 1, or weights in between.
     pub mask: &'a Tensor<T>,
 }
 

@@ -3,9 +3,10 @@
 use dimode_autodiff::{Scalar, Tensor, Var};
 use serde::{Deserialize, Serialize};
 
-use super::{AlignedPair, LossOptions, LossTerm};
+use super::{AlignedPair, Angles, LossOptions, LossTerm};
 use crate::taped::masks;
 use crate::taped::smooth::{length, soft_abs};
+use crate::taped::weighted::{weighted_mean, weighted_variance};
 
 /// Forms of `L_pla`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,8 +30,8 @@ pub enum PlanarForm {
 #[must_use]
 pub fn planar<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
     let (per_image, mask) = match options.planar {
-        PlanarForm::Literal => literal(pair),
-        PlanarForm::Robust => robust(pair, options.tau_flow),
+        PlanarForm::Literal => variance(literal(pair)),
+        PlanarForm::Robust => variance(robust(pair, options.tau_flow)),
         PlanarForm::Circular => circular(pair, options.tau_flow),
         PlanarForm::Weighted => weighted(pair),
         PlanarForm::PerpendicularPixels => perpendicular(pair, options),
@@ -59,23 +60,31 @@ fn components<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>) -> (Va
     (part(0, 1.0), part(1, 1.0))
 }
 
-/// Population variance over the mask, (N,1,1,1).
-fn variance<'t, T: Scalar>(pair: &AlignedPair<'t, T>, x: Var<'t, T>, mask: &Tensor<T>) -> Var<'t, T> {
-    let centre = pair.spread(x.masked_mean(mask));
-    x.sub(centre).square().masked_mean(mask)
-}
-
-fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Masked<'t, T> {
+fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Angles<'t, T> {
     let mask = longer_than(pair, 0.0);
     let (u, v) = components(pair, &mask);
     let cosine = u.div(length(u, v, 0.0)).clamp(-1.0, 1.0);
-    (variance(pair, cosine.acos(), &mask), mask)
+    Angles { angle: cosine.acos(), mask }
 }
 
-fn robust<'t, T: Scalar>(pair: &AlignedPair<'t, T>, tau_flow: f64) -> Masked<'t, T> {
+fn robust<'t, T: Scalar>(pair: &AlignedPair<'t, T>, tau_flow: f64) -> Angles<'t, T> {
     let mask = longer_than(pair, tau_flow);
     let (u, v) = components(pair, &mask);
-    (variance(pair, v.abs().atan2(u), &mask), mask)
+    Angles { angle: v.abs().atan2(u), mask }
+}
+
+/// The angles whose variance `L_pla` is, in the form that the options ask for; `None` for the forms without angles.
+#[must_use]
+pub fn planar_angles<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> Option<Angles<'t, T>> {
+    match options.planar {
+        PlanarForm::Literal => Some(literal(pair)),
+        PlanarForm::Robust => Some(robust(pair, options.tau_flow)),
+        _ => None,
+    }
+}
+
+fn variance<'t, T: Scalar>(Angles { angle, mask }: Angles<'t, T>) -> Masked<'t, T> {
+    (weighted_variance(angle, &mask), mask)
 }
 
 /// `2 (1 - |(x, y)|)` of per-image mean directions.
@@ -87,15 +96,15 @@ fn circular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, tau_flow: f64) -> Masked<'
     let mask = longer_than(pair, tau_flow);
     let (u, v) = components(pair, &mask);
     let size = length(u, v, 0.0);
-    let mean = |f: Var<'t, T>| f.div(size).masked_mean(&mask);
+    let mean = |f: Var<'t, T>| weighted_mean(f.div(size), &mask);
     (spread_of(mean(u), mean(v)), mask)
 }
 
 fn weighted<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Masked<'t, T> {
     let mask = longer_than(pair, 0.0);
     let (u, v) = components(pair, &mask);
-    let total = length(u, v, 0.0).masked_mean(&mask);
-    let mean = |f: Var<'t, T>| f.masked_mean(&mask).div_guarded(total, 1e-12);
+    let total = weighted_mean(length(u, v, 0.0), &mask);
+    let mean = |f: Var<'t, T>| weighted_mean(f, &mask).div_guarded(total, 1e-12);
     (spread_of(mean(u), mean(v)), mask)
 }
 
@@ -119,5 +128,5 @@ fn perpendicular<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions
     };
     let (u, v) = components(pair, &mask);
     let distance = u.mul(direction(y)).sub(v.mul(direction(x)));
-    (pair.beyond_noise(soft_abs(distance, options.smooth_pixels)).masked_mean(&mask), mask)
+    (weighted_mean(pair.beyond_noise(soft_abs(distance, options.smooth_pixels)), &mask), mask)
 }

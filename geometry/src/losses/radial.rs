@@ -3,10 +3,12 @@
 use dimode_autodiff::{Scalar, Tensor, Var};
 use serde::{Deserialize, Serialize};
 
-use super::tangential::{aggregate_term, pixel_term, translation_length, with_target_depth};
+use super::ratio_term::{Ratio, RatioTerm};
+use super::tangential::{translation_length, with_target_depth};
 use super::{AlignedPair, LossOptions, LossTerm};
 use crate::taped::masks;
 use crate::taped::smooth::soft_abs;
+use crate::taped::weighted::weighted_mean;
 
 /// Forms of `L_rad`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,12 +29,17 @@ pub enum RadialForm {
 pub fn radial<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
     let base = with_target_depth(pair, options.z_min);
     let (per_image, mask) = match options.radial {
-        RadialForm::Literal => ratio_terms(pair, &base, None),
-        RadialForm::Robust => ratio_terms(pair, &base, Some(options)),
+        RadialForm::Literal => printed(axis_ratio(pair, &base, None)),
+        RadialForm::Robust => printed(axis_ratio(pair, &base, Some(options))),
         RadialForm::InverseRatio => inverse_ratio(pair, &base, options),
         RadialForm::FlowPixels => flow_pixels(pair, &base, options),
     };
     LossTerm::new(per_image, &mask, options.min_valid_share)
+}
+
+/// `A + C` and the pixels of `C`.
+fn printed<T: Scalar>(term: RatioTerm<'_, T>) -> (Var<'_, T>, Tensor<T>) {
+    (term.sum(), term.mask)
 }
 
 /// Radial flow `d . f / |d|` (0 at the principal point) of every pixel, from values.
@@ -75,12 +82,12 @@ fn recovered<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>) -> Var<
     pair.keep(pair.target_depth, mask, 1.0).mul(along).div(whole).neg()
 }
 
-/// `A_z + C_z`; thresholds only with options.
-fn ratio_terms<'t, T: Scalar>(
+/// The printed terms along the axis; thresholds only with options.
+pub(super) fn axis_ratio<'t, T: Scalar>(
     pair: &AlignedPair<'t, T>,
     base: &Tensor<T>,
     robust: Option<&LossOptions>,
-) -> (Var<'t, T>, Tensor<T>) {
+) -> RatioTerm<'t, T> {
     let (q_min, smallest) = robust.map_or((0.0, 0.0), |o| (o.q_min, o.tau_ratio));
     let (flow, radius) = (radial_flow(pair), &pair.radius);
     let divisible = masks::and_where(base, |n| {
@@ -92,8 +99,6 @@ fn ratio_terms<'t, T: Scalar>(
     });
     let along = pair.keep(pair.axial_products(&divisible).along, &divisible, 1.0);
     let ratio = along.add(radius_squared(pair)).div(along).neg();
-    let scaled = ratio.mul(pair.spread(pair.a(2)));
-    let pixel = pixel_term(pair, scaled, &divisible, robust.map(|o| o.gate));
     let mask = match robust {
         Some(o) => recoverable(pair, base, o.q_min, o.tau_ratio),
         None => masks::and_where(base, |n| {
@@ -101,13 +106,12 @@ fn ratio_terms<'t, T: Scalar>(
             move |i| radius[i] > T::ZERO
         }),
     };
-    let aggregate = aggregate_term(pair, recovered(pair, &mask), &mask, 2, robust);
-    (pixel.add(aggregate), mask)
+    RatioTerm::new(pair, Ratio { ratio, divisible, inverse: recovered(pair, &mask), mask }, 2, robust)
 }
 
 fn inverse_ratio<'t, T: Scalar>(pair: &AlignedPair<'t, T>, base: &Tensor<T>, options: &LossOptions) -> (Var<'t, T>, Tensor<T>) {
     let mask = recoverable(pair, base, options.q_min, options.tau_ratio);
-    let residual = recovered(pair, &mask).sub(pair.spread(pair.a(2))).abs().masked_mean(&mask);
+    let residual = weighted_mean(recovered(pair, &mask).sub(pair.spread(pair.a(2))).abs(), &mask);
     (residual.div_guarded(translation_length(pair), 1e-9), mask)
 }
 
@@ -123,5 +127,5 @@ fn flow_pixels<'t, T: Scalar>(pair: &AlignedPair<'t, T>, base: &Tensor<T>, optio
     let radius = pair.constant(&pair.radius_from(q_min));
     let along = pair.axial_products(&mask).along.div(radius);
     let residual = along.add(radius.mul(a_z).div(source_depth));
-    (pair.beyond_noise(soft_abs(residual, options.smooth_pixels)).masked_mean(&mask), mask)
+    (weighted_mean(pair.beyond_noise(soft_abs(residual, options.smooth_pixels)), &mask), mask)
 }

@@ -3,9 +3,11 @@
 use dimode_autodiff::{Scalar, Tensor, Var};
 use serde::{Deserialize, Serialize};
 
+use super::ratio_term::{Ratio, RatioTerm};
 use super::{AlignedPair, LossOptions, LossTerm};
 use crate::taped::masks;
 use crate::taped::smooth::length;
+use crate::taped::weighted::weighted_mean;
 
 /// Forms of `L_tan`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -26,8 +28,8 @@ pub enum TangentialForm {
 pub fn tangential<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
     let mask = with_target_depth(pair, options.z_min);
     let per_image = match options.tangential {
-        TangentialForm::Literal => both_axes(|k| axis_terms(pair, &mask, k, None)),
-        TangentialForm::Robust => both_axes(|k| axis_terms(pair, &mask, k, Some(options))),
+        TangentialForm::Literal => both_axes(|k| axis_ratio(pair, &mask, k, None).sum()),
+        TangentialForm::Robust => both_axes(|k| axis_ratio(pair, &mask, k, Some(options)).sum()),
         TangentialForm::InverseRatio => inverse_ratio(pair, &mask),
         TangentialForm::FlowPixels => flow_pixels(pair, &mask, options.smooth_pixels),
     };
@@ -58,8 +60,13 @@ fn recovered<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, k: usiz
     pair.keep(pair.target_depth, mask, 1.0).mul(flow).div(pair.spread(focal(pair, k)))
 }
 
-/// `A_k + C_k`; thresholds only with options.
-fn axis_terms<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, k: usize, robust: Option<&LossOptions>) -> Var<'t, T> {
+/// The printed terms along axis `k`; thresholds only with options.
+pub(super) fn axis_ratio<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    mask: &Tensor<T>,
+    k: usize,
+    robust: Option<&LossOptions>,
+) -> RatioTerm<'t, T> {
     let smallest = robust.map_or(0.0, |o| o.tau_ratio);
     let flows = pair.planar_flow.value();
     let divisible = masks::and_where(mask, |n| {
@@ -67,50 +74,8 @@ fn axis_terms<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, k: usi
         move |i| flow[i].to_f64().abs() > smallest
     });
     let flow = pair.keep(pair.planar_flow.slice(1, k, 1), &divisible, 1.0);
-    let scaled = pair.spread(focal(pair, k).mul(pair.a(k))).div(flow);
-    let pixel = pixel_term(pair, scaled, &divisible, robust.map(|o| o.gate));
-    pixel.add(aggregate_term(pair, recovered(pair, mask, k), mask, k, robust))
-}
-
-/// `A = E[|rho a - z| / z]` from `rho a`, over errors below the gate.
-pub(super) fn pixel_term<'t, T: Scalar>(
-    pair: &AlignedPair<'t, T>,
-    scaled_ratio: Var<'t, T>,
-    mask: &Tensor<T>,
-    gate: Option<f64>,
-) -> Var<'t, T> {
-    let z = pair.keep(pair.target_depth, mask, 1.0);
-    let error = pair.keep(scaled_ratio, mask, 1.0).sub(z).abs().div(z);
-    let Some(gate) = gate else {
-        return error.masked_mean(mask);
-    };
-    let values = error.value();
-    let kept = masks::and_where(mask, |n| {
-        let errors = values.plane(n, 0);
-        move |i| errors[i].to_f64() < gate
-    });
-    error.masked_mean(&kept)
-}
-
-/// `C = |(E[z / rho] - a_k) / a_k|`; with options the denominator is `max(|a_k|, tau_translation, kappa |a|)`.
-pub(super) fn aggregate_term<'t, T: Scalar>(
-    pair: &AlignedPair<'t, T>,
-    recovered: Var<'t, T>,
-    mask: &Tensor<T>,
-    k: usize,
-    robust: Option<&LossOptions>,
-) -> Var<'t, T> {
-    let a = pair.a(k);
-    let difference = recovered.masked_mean(mask).sub(a);
-    let Some(options) = robust else {
-        return difference.div(a).abs();
-    };
-    let values = pair.translation.value();
-    let floor = Tensor::from_fn(a.shape(), |n, _, _, _| {
-        let norm = (0..3).map(|i| values.at(n, i, 0, 0).to_f64().powi(2)).sum::<f64>().sqrt();
-        T::from_f64(options.tau_translation.max(options.kappa * norm))
-    });
-    difference.abs().div(a.abs().maximum(pair.constant(&floor)))
+    let ratio = pair.spread(focal(pair, k)).div(flow);
+    RatioTerm::new(pair, Ratio { ratio, divisible, inverse: recovered(pair, mask, k), mask: mask.clone() }, k, robust)
 }
 
 /// `|a|`, (N,1,1,1).
@@ -119,7 +84,7 @@ pub(super) fn translation_length<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Va
 }
 
 fn inverse_ratio<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>) -> Var<'t, T> {
-    let residual = |k| recovered(pair, mask, k).sub(pair.spread(pair.a(k))).abs().masked_mean(mask);
+    let residual = |k| weighted_mean(recovered(pair, mask, k).sub(pair.spread(pair.a(k))).abs(), mask);
     both_axes(residual).div_guarded(translation_length(pair), 1e-9)
 }
 
@@ -129,5 +94,5 @@ fn flow_pixels<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, smoot
         let predicted = pair.spread(focal(pair, k).mul(pair.a(k))).div(z);
         pair.keep(pair.planar_flow.slice(1, k, 1), mask, 0.0).sub(predicted)
     };
-    pair.beyond_noise(length(residual(0), residual(1), smooth)).masked_mean(mask)
+    weighted_mean(pair.beyond_noise(length(residual(0), residual(1), smooth)), mask)
 }

@@ -4,6 +4,15 @@ use dimode_autodiff::{Scalar, Tensor, Var};
 
 use crate::taped::masks;
 
+/// Angles of aligned flows, radians.
+#[derive(Clone, Debug)]
+pub struct Angles<'t, T: Scalar> {
+    /// The angle of every pixel, (N,1,H,W); a constant outside the mask.
+    pub angle: Var<'t, T>,
+    /// Pixels whose angle means something, (N,1,H,W).
+    pub mask: Tensor<T>,
+}
+
 /// One loss over a batch.
 #[derive(Clone, Debug)]
 pub struct LossTerm<'t, T: Scalar> {

@@ -1,27 +1,32 @@
-//! Which pixels a loss may use. Masks are tensors (N,1,H,W) of 0 and 1; none carries a gradient.
+//! Which pixels a loss may use. Masks are tensors (N,1,H,W) of 0 and 1, or of weights in between; none carries a gradient.
 
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::{Scalar, Shape, Tape, Tensor, par};
 
+use super::visibility::{ForwardBackward, forward_backward};
 use super::warp;
 
-/// Share of the squared flow lengths allowed as forward-backward deviation.
-const OCCLUSION_SLOPE: f64 = 0.01;
-/// Squared pixels allowed as forward-backward deviation on top of that share.
-const OCCLUSION_OFFSET: f64 = 0.5;
-
-fn like(map: Shape) -> Shape {
+/// One channel of the size of `map`.
+pub(super) fn like(map: Shape) -> Shape {
     Shape::new(map.n(), 1, map.h(), map.w())
 }
 
 /// Mask of the pixels for which `keep(sample)(flat pixel index)` holds; samples in parallel.
 fn from_fn<T: Scalar, K: Fn(usize) -> bool>(map: Shape, keep: impl Fn(usize) -> K + Sync + Send) -> Tensor<T> {
+    weights_from_fn(map, |n| {
+        let keep = keep(n);
+        move |i| if keep(i) { T::ONE } else { T::ZERO }
+    })
+}
+
+/// Weights `weight(sample)(flat pixel index)`; samples in parallel.
+fn weights_from_fn<T: Scalar, W: Fn(usize) -> T>(map: Shape, weight: impl Fn(usize) -> W + Sync + Send) -> Tensor<T> {
     let plane = map.plane();
     let mut data = vec![T::ZERO; map.n() * plane];
     par::for_each_chunk(&mut data, plane.max(1), |n, chunk| {
-        let keep = keep(n);
-        for (i, kept) in chunk.iter_mut().enumerate() {
-            *kept = if keep(i) { T::ONE } else { T::ZERO };
+        let weight = weight(n);
+        for (i, out) in chunk.iter_mut().enumerate() {
+            *out = weight(i);
         }
     });
     Tensor::from_vec(like(map), data)
@@ -57,6 +62,15 @@ pub fn above<T: Scalar>(map: &Tensor<T>, channel: usize, threshold: f64) -> Tens
     from_fn(map.shape(), |n| {
         let map = map.plane(n, channel);
         move |i| map[i] > threshold
+    })
+}
+
+/// Pixels of a one-channel map that are `least` or more (NaN is not).
+#[must_use]
+pub fn at_least<T: Scalar>(map: &Tensor<T>, least: f64) -> Tensor<T> {
+    from_fn(map.shape(), |n| {
+        let map = map.plane(n, 0);
+        move |i| map[i].to_f64() >= least
     })
 }
 
@@ -126,19 +140,74 @@ pub fn backward_at_forward<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>)
 #[must_use]
 #[track_caller]
 pub fn not_occluded<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Tensor<T> {
-    let back = backward_at_forward(forward, backward);
+    let ForwardBackward { deviation, allowed } = forward_backward(forward, backward);
     from_fn(forward.shape(), |n| {
-        let (f, b) = ([0, 1].map(|c| forward.plane(n, c)), [0, 1].map(|c| back.plane(n, c)));
-        move |i| {
-            let [f_u, f_v, b_u, b_v] = [f[0], f[1], b[0], b[1]].map(|plane| plane[i].to_f64());
-            let deviation = (f_u + b_u).powi(2) + (f_v + b_v).powi(2);
-            let sizes = f_u.powi(2) + f_v.powi(2) + b_u.powi(2) + b_v.powi(2);
-            deviation <= OCCLUSION_SLOPE * sizes + OCCLUSION_OFFSET
-        }
+        let (deviation, allowed) = (deviation.plane(n, 0), allowed.plane(n, 0));
+        move |i| deviation[i] <= allowed[i]
     })
 }
 
-/// Pixels of all masks.
+/// Pixels where rigid and optical flow differ by less than `pixels`: the test of matches by which DF-VO tells moving things
+/// (5 pixels) [Huangying-Zhan/DF-VO, `libs/tracker/E_tracker.py`].
+///
+/// Both maps are (N,C,H,W) with the flow in the first two channels, pixels.
+///
+/// **Panics** when the sizes differ.
+#[must_use]
+#[track_caller]
+pub fn agreeing<T: Scalar>(rigid: &Tensor<T>, optical: &Tensor<T>, pixels: f64) -> Tensor<T> {
+    let s = rigid.shape();
+    let squares = grid_distance(rigid, optical, [1.0, 1.0]);
+    from_fn(s, |n| {
+        let squares = &squares[n * s.plane()..][..s.plane()];
+        move |i| squares[i] < pixels * pixels
+    })
+}
+
+/// Static pixels by the test of Dynamo-Depth as it is coded: squared distance of the two sampling positions below its mean
+/// over the whole batch, in the units of a sampling grid from -1 to 1 (`2 / (W - 1)` and `2 / (H - 1)` for a pixel).
+///
+/// Both maps are (N,C,H,W) with the flow in the first two channels, pixels. [`static_pixels`] is the form to use: it weighs
+/// both axes alike and lets no image decide for another.
+///
+/// **Panics** when the sizes differ or a side is one pixel long.
+#[must_use]
+#[track_caller]
+pub fn static_on_grid<T: Scalar>(ego: &Tensor<T>, complete: &Tensor<T>) -> Tensor<T> {
+    let squares = squared_grid_distance(ego, complete);
+    let mean = squares.data().iter().map(|d| d.to_f64()).sum::<f64>() / squares.shape().len() as f64;
+    from_fn(squares.shape(), |n| {
+        let squares = squares.plane(n, 0);
+        move |i| squares[i].to_f64() < mean
+    })
+}
+
+/// The squared distances that [`static_on_grid`] compares, (N,1,H,W).
+///
+/// **Panics** when the sizes differ or a side is one pixel long.
+#[must_use]
+#[track_caller]
+pub fn squared_grid_distance<T: Scalar>(ego: &Tensor<T>, complete: &Tensor<T>) -> Tensor<T> {
+    let s = ego.shape();
+    assert!(s.h() > 1 && s.w() > 1, "static_on_grid: a grid needs at least 2 x 2 pixels, got {s}");
+    let units = [2.0 / (s.w() - 1) as f64, 2.0 / (s.h() - 1) as f64];
+    let squares = grid_distance(ego, complete, units);
+    Tensor::from_vec(like(s), squares.into_iter().map(T::from_f64).collect())
+}
+
+/// Squared distances of two flows whose components are multiplied by `units`.
+#[track_caller]
+fn grid_distance<T: Scalar>(a: &Tensor<T>, b: &Tensor<T>, units: [f64; 2]) -> Vec<f64> {
+    let s = a.shape();
+    assert!(like(s) == like(b.shape()), "distance of flows: {s} and {} differ", b.shape());
+    let planes = par::map_indices(s.n(), |n| {
+        let part = |c: usize, i: usize| (a.plane(n, c)[i].to_f64() - b.plane(n, c)[i].to_f64()) * units[c];
+        (0..s.plane()).map(|i| part(0, i).powi(2) + part(1, i).powi(2)).collect::<Vec<f64>>()
+    });
+    planes.concat()
+}
+
+/// Pixels of all masks. Of weights it is the product.
 ///
 /// **Panics** for an empty list or different shapes.
 #[must_use]
@@ -146,17 +215,17 @@ pub fn not_occluded<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Ten
 pub fn all_of<T: Scalar>(masks: &[&Tensor<T>]) -> Tensor<T> {
     let shape = masks.first().expect("all_of: no mask given").shape();
     assert!(masks.iter().all(|m| m.shape() == shape), "all_of: masks of different shapes");
-    from_fn(shape, |n| {
+    weights_from_fn(shape, |n| {
         let planes: Vec<&[T]> = masks.iter().map(|m| m.plane(n, 0)).collect();
-        move |i| planes.iter().all(|plane| plane[i] != T::ZERO)
+        move |i| planes.iter().fold(T::ONE, |product, plane| product * plane[i])
     })
 }
 
-/// Pixels of a mask that also satisfy `keep(sample)(flat pixel index)`.
+/// Pixels of a mask that also satisfy `keep(sample)(flat pixel index)`, with the weights that they have.
 pub(crate) fn and_where<T: Scalar, K: Fn(usize) -> bool>(mask: &Tensor<T>, keep: impl Fn(usize) -> K + Sync + Send) -> Tensor<T> {
-    from_fn(mask.shape(), |n| {
+    weights_from_fn(mask.shape(), |n| {
         let (mask, keep) = (mask.plane(n, 0), keep(n));
-        move |i| mask[i] != T::ZERO && keep(i)
+        move |i| if mask[i] != T::ZERO && keep(i) { mask[i] } else { T::ZERO }
     })
 }
 
@@ -200,6 +269,31 @@ mod tests {
     }
 
     #[test]
+    fn the_grid_test_weighs_axes_by_their_lengths_and_pools_the_batch() {
+        let shape = Shape::new(2, 2, 2, 3);
+        let optical = Tensor::from_fn(shape, |n, c, h, w| match (n, c, h, w) {
+            (0, 0, 0, 0) => 1.0, // 1 in grid units
+            (0, 1, 0, 1) => 1.0, // 2 in grid units
+            (1, 0, 1, 2) => 3.0, // 3 in grid units
+            _ => 0.0,
+        });
+        let zero = Tensor::zeros(shape);
+        let squares = squared_grid_distance(&zero, &optical);
+        assert_eq!((squares.at(0, 0, 0, 0), squares.at(0, 0, 0, 1), squares.at(1, 0, 1, 2)), (1.0, 4.0, 9.0));
+        // Mean 14/12: the first one is static here, and would not be against the mean 5/6 of its own image.
+        let still = static_on_grid(&zero, &optical);
+        assert_eq!((still.at(0, 0, 0, 0), still.at(0, 0, 0, 1), still.at(1, 0, 1, 2)), (1.0, 0.0, 0.0));
+        assert_eq!(counts(&still), [5, 5]);
+    }
+
+    #[test]
+    fn flows_agree_within_a_distance_in_pixels() {
+        let (zero, moved) = (flow([0.0; 4], [0.0; 4]), flow([3.0, 5.0, 4.9, f64::NAN], [4.0, 0.0, 0.0, 0.0]));
+        assert_eq!(agreeing(&zero, &moved, 5.0).to_vec(), [0.0, 0.0, 1.0, 0.0]);
+        assert_eq!(at_least(&zero, 0.0).to_vec(), [1.0; 4]);
+    }
+
+    #[test]
     fn opposite_flows_agree_and_equal_ones_do_not() {
         let forward = flow([1.0, 0.0, 0.0, 0.0], [0.0; 4]);
         let good = flow([0.0, -1.0, 0.0, 0.0], [0.0; 4]);
@@ -213,6 +307,9 @@ mod tests {
         assert_eq!((both.to_vec(), counts(&both)), (vec![0.0, 1.0, 0.0, 1.0], vec![2]));
         assert_eq!(above(&m([0.1, 0.2, f64::NAN, -1.0]), 0, 0.1).to_vec(), [0.0, 1.0, 0.0, 0.0]);
         assert_eq!(and_where(&both, |_| |i| i > 2).to_vec(), [0.0, 0.0, 0.0, 1.0]);
+        let soft = all_of(&[&both, &m([0.5, 0.25, 0.5, 0.75])]);
+        assert_eq!((soft.to_vec(), counts(&soft)), (vec![0.0, 0.25, 0.0, 0.75], vec![2]));
+        assert_eq!(and_where(&soft, |_| |i| i > 2).to_vec(), [0.0, 0.0, 0.0, 0.75]);
         assert_eq!(everywhere::<f32>(Shape::new(1, 2, 1, 3)).to_vec(), [1.0; 3]);
     }
 }

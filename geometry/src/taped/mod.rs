@@ -5,15 +5,21 @@
 
 pub mod alignment;
 mod bands;
+pub mod derotate;
 pub mod masks;
 pub mod pose;
+pub mod projection;
 pub mod rigid_flow;
 pub mod smooth;
 pub mod so3_exp;
+pub mod visibility;
 pub mod warp;
+pub mod weighted;
 
 pub use alignment::{align, translation_in_target_frame};
+pub use derotate::{derotate, rotated_pixels};
 pub use pose::{Pose, source_from_target};
+pub use projection::{Divisor, Projection, SampleGrid, back_project, project};
 pub use rigid_flow::rigid_flow;
 pub use so3_exp::{RotationForm, so3_exp};
 pub use warp::warp;

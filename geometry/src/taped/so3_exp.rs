@@ -1,4 +1,4 @@
-//! Rotation matrices of rotation vectors.
+//! Rotation matrices of three numbers: a rotation vector, or angles about the axes.
 //!
 //! The exponential map has the exact derivative everywhere: with `M = G R^T`, the vector of the
 //! antisymmetric part `m = (M_32 - M_23, M_13 - M_31, M_21 - M_12)` gives `grad w = J_l(w)^T m`. At `w = 0`
@@ -18,6 +18,9 @@ pub enum RotationForm {
     /// The common network formula with the axis `w / (|w| + 1e-7)`: orthonormal only to about 1e-7, and
     /// its gradient at `w = 0` is zero. For comparison with other programs.
     Guarded,
+    /// Angles about the axes, `R = R_x R_y R_z`: orthonormal, singular where the second angle is a quarter turn. The pose
+    /// networks of SC-Depth say these.
+    Euler,
 }
 
 const GUARD: f64 = 1e-7;
@@ -62,6 +65,7 @@ pub fn rotation_matrix<T: Scalar>(w: Var<'_, T>, form: RotationForm) -> Var<'_, 
 fn value(w: &Vector3<f64>, form: RotationForm) -> Matrix3<f64> {
     match form {
         RotationForm::Exponential => so3::exp(w),
+        RotationForm::Euler => about_axes(w).iter().product(),
         RotationForm::Guarded => {
             let theta = w.norm();
             let a = w / (theta + GUARD);
@@ -77,7 +81,24 @@ fn pullback(w: &Vector3<f64>, g: &Matrix3<f64>, form: RotationForm) -> Vector3<f
             so3::left_jacobian(w).tr_mul(&left)
         }
         RotationForm::Guarded => guarded_pullback(w, g),
+        RotationForm::Euler => euler_pullback(w, g),
     }
+}
+
+/// The turns about x, y and z by the three angles.
+fn about_axes(angles: &Vector3<f64>) -> [Matrix3<f64>; 3] {
+    std::array::from_fn(|k| so3::exp(&Vector3::from_fn(|i, _| if i == k { angles[k] } else { 0.0 })))
+}
+
+/// By angle `k`: with `R = A R_k C` the derivative is `A [e_k]_x R_k C`, whose product with `g` is component `k` of the
+/// antisymmetric part of `A^T g (R_k C)^T`.
+fn euler_pullback(angles: &Vector3<f64>, g: &Matrix3<f64>) -> Vector3<f64> {
+    let turns = about_axes(angles);
+    Vector3::from_fn(|k, _| {
+        let before: Matrix3<f64> = turns[..k].iter().product();
+        let from_here: Matrix3<f64> = turns[k..].iter().product();
+        2.0 * so3::vee(&(before.transpose() * g * from_here.transpose()))[k]
+    })
 }
 
 fn guarded_pullback(w: &Vector3<f64>, g: &Matrix3<f64>) -> Vector3<f64> {
@@ -138,11 +159,27 @@ mod tests {
     }
 
     #[test]
+    fn euler_angles_turn_about_z_first_and_x_last() {
+        let quarter = std::f64::consts::FRAC_PI_2;
+        // z by a quarter takes x to y, x by a quarter takes y to z.
+        let r = value(&Vector3::new(quarter, 0.0, quarter), RotationForm::Euler);
+        assert!((r * Vector3::x() - Vector3::z()).norm() < 1e-15);
+        let (a, b, c) = (0.3_f64, -0.2_f64, 0.5_f64);
+        let r = value(&Vector3::new(a, b, c), RotationForm::Euler);
+        let first_row = [b.cos() * c.cos(), -b.cos() * c.sin(), b.sin()];
+        assert!((0..3).all(|j| (r[(0, j)] - first_row[j]).abs() < 1e-15), "{r}");
+        let tape = Tape::new();
+        let angles = tape.leaf(column([0.0; 3]));
+        let grads = tape.backward(rotation_matrix(angles, RotationForm::Euler).slice(2, 1, 1).slice(3, 0, 1));
+        assert_eq!(grads.wrt(angles).to_vec(), [0.0, 0.0, 1.0]);
+    }
+
+    #[test]
     fn gradients_match_differences() {
         let shape = Shape::new(4, 3, 1, 1);
         for (seed, size) in [(1, 0.02), (2, 0.5), (3, 1.5)] {
             let w = random(seed, shape, -size, size);
-            for form in [RotationForm::Exponential, RotationForm::Guarded] {
+            for form in [RotationForm::Exponential, RotationForm::Guarded, RotationForm::Euler] {
                 gradcheck(std::slice::from_ref(&w), |_, v| weighted_sum(rotation_matrix(v[0], form), 9), GradCheck::default())
                     .assert_ok();
             }

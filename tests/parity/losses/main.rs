@@ -1,8 +1,16 @@
 //! Sampling, poses, masks and losses give the values and gradients of the reference.
 
+mod compared;
+mod competitors;
+mod dynamo;
+mod flow_losses;
+mod flow_masks;
 mod image;
+mod local_structure;
+mod monodepth;
 mod motion;
-mod pose_and_masks;
-mod sampling;
+mod pose;
+mod rectify;
+mod sc_pairs;
 mod support;
 mod warp;

@@ -29,11 +29,3 @@ pub fn close(what: &str, found: &[f64], expected: &[f64], atol: f64, rtol: f64) 
     let worst = excess(found, expected, atol, rtol);
     assert!(worst <= 1.0, "{what}: {worst:.3e} times the tolerance");
 }
-
-/// Asserts closeness of two lists within a share of the largest expected magnitude, which is not zero.
-#[track_caller]
-pub fn close_to_scale(what: &str, found: &[f64], expected: &[f64], share: f64) {
-    let scale = expected.iter().fold(0.0f64, |m, x| m.max(x.abs()));
-    assert!(scale > 0.0, "{what}: nothing but zeros to compare with");
-    close(what, found, expected, share * scale, 0.0);
-}

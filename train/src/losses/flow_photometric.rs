@@ -1,19 +1,53 @@
 //! Unsupervised loss of the flow network: the warped source must look like the target.
 //!
-//! `L = sum_i 0.8^(N-1-i) [ mean over in-view pixels of photometric(source(p + F_i), target) + w second_order(F_i) ]`; the second
-//! differences of the flow are weighted by `exp(-10 mean_c |I_x|)`, so that kinks are cheap where the image has an edge.
+//! **Formula**: `L = sum_i 0.8^(N-1-i) [ mean over visible pixels of photometric(source(p + F_i), target) + w second_order(F_i) ]`,
+//! the mean taken image by image; `second_order` is [`FlowSmoothness::Second`] with edge 10, so that kinks are cheap where the
+//! image has an edge. Which pixels are visible is a [`Visibility`].
 
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::{Scalar, Tensor, Var};
-use dimode_geometry::taped::{masks, warp};
+use dimode_geometry::taped::weighted::weighted_mean;
+use dimode_geometry::taped::{masks, visibility, warp};
 
+use super::flow_smoothness::{FlowSmoothness, flow_smoothness};
 use super::photometric::photometric;
 use super::raft_sequence::GAMMA;
 
 /// Sharpness of the edge weight of the second-order term.
 const EDGE: f64 = 10.0;
 
-/// Loss of successive flows `[n, 2, h, w]` (pixels, target to source) between images `[n, 3, h, w]`.
+/// Which target pixels the source is expected to show; all of them are also in view. Backward flows lead from source to target.
+#[derive(Clone, Copy, Debug)]
+pub enum Visibility<'a, T: Scalar> {
+    /// The flow ends inside the source.
+    InView,
+    /// And the flow back ends near the start: [`masks::not_occluded`].
+    ForwardBackward(&'a Tensor<T>),
+    /// And enough source pixels flow here: [`visibility::reached`] with this threshold.
+    Reached(&'a Tensor<T>, f64),
+    /// As [`Visibility::Reached`], weighted by how many do: [`visibility::reached_softly`].
+    ReachedSoftly(&'a Tensor<T>),
+}
+
+impl<T: Scalar> Visibility<'_, T> {
+    /// The weights in [0, 1] of the pixels for a forward flow `[n, 2, h, w]`; `[n, 1, h, w]`, without gradient.
+    ///
+    /// # Panics
+    /// When the flows' shapes differ.
+    #[must_use]
+    #[track_caller]
+    pub fn weights(self, flow: &Tensor<T>) -> Tensor<T> {
+        let seen = masks::in_view(flow);
+        match self {
+            Self::InView => seen,
+            Self::ForwardBackward(backward) => masks::all_of(&[&masks::not_occluded(flow, backward), &seen]),
+            Self::Reached(backward, least) => masks::all_of(&[&visibility::reached(backward, least), &seen]),
+            Self::ReachedSoftly(backward) => masks::all_of(&[&visibility::reached_softly(backward), &seen]),
+        }
+    }
+}
+
+/// Loss of successive flows `[n, 2, h, w]` (pixels, target to source) between images `[n, 3, h, w]`, over the pixels in view.
 ///
 /// # Panics
 /// When there is no flow or shapes differ.
@@ -24,41 +58,34 @@ pub fn flow_photometric<'t, T: Scalar>(
     source: Var<'t, T>,
     smoothness: f64,
 ) -> Var<'t, T> {
+    flow_photometric_where(flows, target, source, smoothness, Visibility::InView)
+}
+
+/// [`flow_photometric`] over the visible pixels.
+///
+/// **Gradient**: to the flows and the images; none through the choice of pixels. Pixels that are not visible have none of the
+/// photometric term, and an image without a visible pixel counts 0.
+///
+/// # Panics
+/// When there is no flow or shapes differ.
+#[track_caller]
+pub fn flow_photometric_where<'t, T: Scalar>(
+    flows: &[Var<'t, T>],
+    target: Var<'t, T>,
+    source: Var<'t, T>,
+    smoothness: f64,
+    visible: Visibility<'_, T>,
+) -> Var<'t, T> {
+    assert!(!flows.is_empty(), "flow_photometric: at least one flow");
     let tape = target.tape();
     let mut total = tape.constant(Tensor::scalar(T::ZERO));
     for (i, &flow) in flows.iter().enumerate() {
         let error = photometric(warp(source, flow, SamplePadding::Border), target);
-        let seen = error.masked_mean(&masks::in_view(&flow.value())).mean();
-        let smooth = second_order(flow, &target.value()).scale(smoothness);
+        let seen = weighted_mean(error, &visible.weights(&flow.value())).mean();
+        let smooth = flow_smoothness(flow, &target.value(), FlowSmoothness::Second { edge: EDGE }).scale(smoothness);
         total = total.add(seen.add(smooth).scale(GAMMA.powi((flows.len() - 1 - i) as i32)));
     }
     total
-}
-
-/// Edge-weighted mean of absolute second differences along rows and columns, halved each.
-fn second_order<'t, T: Scalar>(flow: Var<'t, T>, image: &Tensor<T>) -> Var<'t, T> {
-    let terms = [2, 3].map(|axis| {
-        let len = flow.shape().0[axis];
-        let first = flow.slice(axis, 1, len - 1).sub(flow.slice(axis, 0, len - 1));
-        let second = first.slice(axis, 1, len - 2).sub(first.slice(axis, 0, len - 2)).abs();
-        let weight = flow.tape().constant(edge_weight(image, axis));
-        second.mul(weight.broadcast_to(second.shape())).mean().scale(0.5)
-    });
-    terms[0].add(terms[1])
-}
-
-/// `exp(-EDGE mean_c |I(i + 2) - I(i + 1)|)` along an axis.
-fn edge_weight<T: Scalar>(image: &Tensor<T>, axis: usize) -> Tensor<T> {
-    let mut shape = image.shape().with_c(1);
-    shape.0[axis] -= 2;
-    let (dy, dx) = if axis == 2 { (1, 0) } else { (0, 1) };
-    let channels = image.shape().c();
-    Tensor::from_fn(shape, |n, _, h, w| {
-        let sum = (0..channels)
-            .map(|c| (image.at(n, c, h + 2 * dy, w + 2 * dx) - image.at(n, c, h + dy, w + dx)).abs())
-            .fold(T::ZERO, |a, b| a + b);
-        (sum * T::from_f64(-EDGE / channels as f64)).exp()
-    })
 }
 
 #[cfg(test)]
@@ -90,6 +117,57 @@ mod tests {
         gradcheck(
             &[flow],
             |tape, v| flow_photometric(&[v[0]], tape.constant(target.clone()), tape.constant(source.clone()), 0.3),
+            check,
+        )
+        .assert_ok();
+    }
+
+    #[test]
+    fn every_kind_of_visibility_drops_its_pixels() {
+        // Two pixels leave the view on the right; the flow back is right but for one pixel and one row that nothing reaches.
+        let shape = Shape::new(1, 2, 3, 6);
+        let forward = Tensor::from_fn(shape, |_, c, _, _| if c == 0 { 2.0 } else { 0.0 });
+        let backward = Tensor::from_fn(shape, |_, c, h, w| match (c, h, w) {
+            (0, 1, 3) => 1.0,
+            (1, 2, _) => 50.0,
+            (0, ..) => -2.0,
+            _ => 0.0,
+        });
+        let weights = |kind: Visibility<'_, f64>| kind.weights(&forward).to_vec();
+        assert_eq!(weights(Visibility::InView), [1.0, 1.0, 1.0, 1.0, 0.0, 0.0].repeat(3));
+        let whole = [1.0, 1.0, 1.0, 1.0, 0.0, 0.0];
+        let hole = [1.0, 0.0, 1.0, 1.0, 0.0, 0.0];
+        for kind in
+            [Visibility::ForwardBackward(&backward), Visibility::Reached(&backward, 0.2), Visibility::ReachedSoftly(&backward)]
+        {
+            assert_eq!(weights(kind), [whole, hole, [0.0; 6]].concat(), "{kind:?}");
+        }
+    }
+
+    #[test]
+    fn gradient_over_soft_weights_matches_finite_differences_and_hidden_images_have_none() {
+        let shape = Shape::new(2, 2, 5, 6);
+        let image = |seed| random::<f64>(seed, Shape::new(2, 3, 5, 6), 0.0, 1.0);
+        let (target, source) = (image(1), image(2));
+        // Nothing of the second source image flows back into the second target.
+        let backward = Tensor::from_fn(shape, |n, c, h, w| if n == 1 { 90.0 } else { 0.3 * (c + h + w) as f64 - 1.0 });
+        let loss = |tape: &'_ Tape<f64>, flow: Tensor<f64>| {
+            let flow = tape.leaf(flow);
+            let (target, source) = (tape.constant(target.clone()), tape.constant(source.clone()));
+            let loss = flow_photometric_where(&[flow], target, source, 0.0, Visibility::ReachedSoftly(&backward));
+            tape.backward(loss).wrt(flow)
+        };
+        let flow = random::<f64>(9, shape, 0.1, 0.9);
+        let grad = loss(&Tape::new(), flow.clone());
+        assert!(grad.plane(0, 0).iter().any(|&g| g != 0.0));
+        assert!([grad.plane(1, 0), grad.plane(1, 1)].concat().iter().all(|&g| g == 0.0));
+        let check = GradCheck { step: 1e-6, rtol: 1e-5, atol: 1e-8, allow_zero: false };
+        gradcheck(
+            &[flow],
+            |tape, v| {
+                let (target, source) = (tape.constant(target.clone()), tape.constant(source.clone()));
+                flow_photometric_where(&[v[0]], target, source, 0.3, Visibility::ReachedSoftly(&backward))
+            },
             check,
         )
         .assert_ok();

@@ -23,22 +23,28 @@ pub fn self_guided<T: Scalar>(depth: &Tensor<T>, images: &Tensor<T>) -> Tensor<T
 /// As [`self_guided`] with a window of `2 radius + 1` pixels.
 #[track_caller]
 pub fn self_guided_with<T: Scalar>(depth: &Tensor<T>, images: &Tensor<T>, radius: usize) -> Tensor<T> {
+    let filtered = filtered_inverse(depth, images, radius);
+    Tensor::from_vec(depth.shape(), filtered.iter().map(|q| T::from_f64(1.0 / q.max(SMALLEST))).collect())
+}
+
+/// The filtered, mean-normalised inverse depth `q` of [`self_guided_with`], in the order of the depth's buffer.
+#[track_caller]
+pub fn filtered_inverse<T: Scalar>(depth: &Tensor<T>, images: &Tensor<T>, radius: usize) -> Vec<f64> {
     let (s, i) = (depth.shape(), images.shape());
     assert!(s.n() == i.n() && i.c() == 3 && s.h() == i.h() && s.w() == i.w(), "self_guided: depth {s} under images {i}");
     let maps = par::map_indices(s.n(), |n| {
-        let guide: Vec<f64> = (0..s.plane())
-            .map(|p| {
-                let colour = |c| images.plane(n, c)[p].to_f64();
-                0.2989 * colour(0) + 0.5870 * colour(1) + 0.1140 * colour(2)
-            })
-            .collect();
         let inverse: Vec<f64> = depth.plane(n, 0).iter().map(|d| 1.0 / d.to_f64()).collect();
         let mean = inverse.iter().sum::<f64>() / inverse.len() as f64 + 1e-7;
         let input: Vec<f64> = inverse.iter().map(|y| y / mean).collect();
-        let filtered = guided_filter(&guide, &input, s.h(), s.w(), radius);
-        filtered.into_iter().map(|q| T::from_f64(1.0 / q.max(SMALLEST))).collect::<Vec<_>>()
+        guided_filter(&luminance(images, n), &input, s.h(), s.w(), radius)
     });
-    Tensor::from_vec(s, maps.concat())
+    maps.concat()
+}
+
+/// `0.2989 R + 0.5870 G + 0.1140 B` of one sample of images `[n, 3, h, w]`: the guide.
+pub fn luminance<T: Scalar>(images: &Tensor<T>, sample: usize) -> Vec<f64> {
+    let colour = |c| images.plane(sample, c).iter().map(|x| x.to_f64());
+    colour(0).zip(colour(1)).zip(colour(2)).map(|((r, g), b)| 0.2989 * r + 0.5870 * g + 0.1140 * b).collect()
 }
 
 /// The filter on one map of `h x w`.

@@ -112,4 +112,13 @@ mod tests {
         let check = GradCheck { step: 1e-5, rtol: 1e-6, ..GradCheck::default() };
         gradcheck(&[depth], |_, v| weighted_sum(normals(v[0], &cams), 3), check).assert_ok();
     }
+
+    #[test]
+    fn gradient_of_the_matching_matches_finite_differences() {
+        let depth = random::<f64>(2, Shape::new(2, 1, 4, 5), 2.0, 3.0);
+        let pseudo = random::<f64>(3, Shape::new(2, 1, 4, 5), 1.0, 2.0);
+        let cams = [camera(5, 4), camera(5, 4)];
+        let check = GradCheck { step: 1e-6, rtol: 1e-6, atol: 1e-8, ..GradCheck::default() };
+        gradcheck(&[depth], |_, v| normal_matching(v[0], &pseudo, &cams), check).assert_ok();
+    }
 }

@@ -14,10 +14,12 @@ use pulp::{Arch, Simd, WithSimd};
 
 /// Weight of the dissimilarity.
 pub const ALPHA: f64 = 0.85;
-const C1: f64 = 0.01 * 0.01;
-const C2: f64 = 0.03 * 0.03;
+/// Keeps the quotient of means away from 0 / 0.
+pub(super) const C1: f64 = 0.01 * 0.01;
+/// Keeps the quotient of variances away from 0 / 0.
+pub(super) const C2: f64 = 0.03 * 0.03;
 /// Colours are moved by this much before sums are taken.
-const SHIFT: f64 = 0.5;
+pub(super) const SHIFT: f64 = 0.5;
 
 /// Error map `[n, 1, h, w]` of `warped` against `target`, both `[n, c, h, w]` with colours in [0, 1].
 ///
@@ -48,6 +50,15 @@ pub fn photometric<'t, T: Scalar>(warped: Var<'t, T>, target: Var<'t, T>) -> Var
             }
         }
     })
+}
+
+/// Absolute difference of images `[n, c, h, w]`, mean over channels, `[n, 1, h, w]`: the second part of the error.
+///
+/// # Panics
+/// When the shapes differ.
+#[track_caller]
+pub fn absolute_difference<'t, T: Scalar>(x: Var<'t, T>, y: Var<'t, T>) -> Var<'t, T> {
+    x.sub(y).abs().mean_channels()
 }
 
 /// Error map of plain tensors, without gradient.
@@ -322,6 +333,17 @@ mod tests {
             // SSIM 0.975615703487: 0.85 * 0.5 * (1 - SSIM) + 0.15 * 0.1
             assert!((e - 0.025_363_326_018).abs() < 1e-11, "{e}");
         }
+    }
+
+    #[test]
+    fn absolute_differences_are_averaged_over_channels() {
+        let tape = Tape::<f64>::new();
+        let pixel = |values: [f64; 3]| tape.leaf(Tensor::from_vec(Shape::new(1, 3, 1, 1), values.to_vec()));
+        let (x, y) = (pixel([0.1, 0.5, 0.9]), pixel([0.4, 0.5, 0.3]));
+        let e = absolute_difference(x, y);
+        assert!((e.value().item() - 0.3).abs() < 1e-15);
+        let third = 1.0 / 3.0;
+        assert_eq!(tape.backward(e).wrt(x).data(), [-third, 0.0, third]);
     }
 
     #[test]

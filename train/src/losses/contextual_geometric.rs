@@ -1,0 +1,509 @@
+//! Contextual-geometric depth consistency of DCPI-Depth: the depth that flow and motion imply must be the predicted one.
+//!
+//! **Formula** [mengtanZ/DCPI-Depth, `trainer.py`]. With the flow without its rotational part `f_tr = f_opt - sg(f_rot)`,
+//! `q = p - p_0` and `X_s = R X_t + t`:
+//!
+//! - [`radial_depth`] ("v2", the default there): `D_geo = -t_z (q.q + q.f_tr) / (q.f_tr + 1e-5)`;
+//! - [`triangulated_depth`] ("v1"): `D_geo = ((t_x + t_y) - t_z s) / ((r_3.b) s - (r_1 + r_2).b + 1e-5)` with the target ray `b`, the
+//!   rows `r_i` of `R`, and `s = x_s + y_s` of the source ray `(x_s, y_s, 1)`;
+//! - the error of either is `e = |D_geo - D| / (D + 1e-5)`, the loss the mean over the pixels of the batch with `e < 2`;
+//! - [`rigid_agreement`] (`L_rig`): the same mean of `|f_opt - sg(f_rig)| / |f_opt + 1e-5|` over components below 0.5;
+//! - [`divergence_agreement`] (`L_dpc`): see there.
+//!
+//! [`total`] adds them up. All are for the next frame and the finest scale.
+//!
+//! **Gradient**: what is marked `sg` has none, and neither has the choice of pixels. Pixels that do not count have exactly zero
+//! gradient, also where an error is infinite; without any, a loss is 0 (the public code gives NaN).
+//!
+//! **Reading**: the public code has three slips, which [`ContextualForm`] and [`TriangulatedForm`] keep for comparison only.
+
+use dimode_autodiff::ops::pad::Sides;
+use dimode_autodiff::{Scalar, Shape, Tensor, Var};
+use dimode_geometry::Intrinsics;
+
+use super::masked::batch_mean;
+
+/// Keeps denominators away from 0 where they are positive; where they are not, the gate does.
+const GUARD: f64 = 1e-5;
+/// Relative errors of depths from here on do not count.
+pub const DEPTH_GATE: f64 = 2.0;
+/// Relative errors of flow components from here on do not count.
+pub const RIGID_GATE: f64 = 0.5;
+/// Relative errors of divergences from here on do not count.
+pub const DIVERGENCE_GATE: f64 = 0.2;
+/// Weight of the whole in DCPI-Depth, from its second epoch on.
+pub const WEIGHT: f64 = 0.01;
+/// Weight of `L_dpc` and of `L_rig` inside the whole.
+pub const PART_WEIGHT: f64 = 0.2;
+
+/// Which `q` and which rotational flow [`radial_depth`] takes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ContextualForm {
+    /// `q` from the principal point.
+    #[default]
+    Corrected,
+    /// `q` from the middle of the image, wherever the principal point is. For comparison only.
+    ImageCentre,
+    /// As the public code: the middle of the image, and the end of the rotational flow multiplied by `W / (W - 1)` and
+    /// `H / (H - 1)`, up to a pixel too far. For comparison only.
+    AsCoded,
+}
+
+/// Which way the rotation acts in [`triangulated_depth`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TriangulatedForm {
+    /// From target to source.
+    #[default]
+    Corrected,
+    /// As the public code: the inverse motion with another sign, so that the rotation acts the wrong way. For comparison only.
+    AsCoded,
+}
+
+/// Signs and depth in [`divergence_agreement`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DivergenceForm {
+    /// As follows from the flow of a translation along the axis, over inner pixels.
+    #[default]
+    Corrected,
+    /// As the public code: `D` for the source depth, the opposite sign of the gradient's term, and borders that see zeros. At the
+    /// truth its error is 2 or, unless the translation is small beside the depth, anything: neither counts but by accident. For
+    /// comparison only.
+    AsCoded,
+}
+
+/// A mean over what passed a gate.
+#[derive(Clone, Debug)]
+pub struct Gated<'t, T: Scalar> {
+    /// Mean over the kept entries of the batch, 0 without any.
+    pub mean: Var<'t, T>,
+    /// The error of every entry, infinite or NaN where a denominator is 0.
+    pub errors: Tensor<T>,
+    /// 1 where the error is below the gate.
+    pub kept: Tensor<T>,
+}
+
+/// What the losses compare. Maps are `[n, c, h, w]` in pixels and units of depth.
+#[derive(Clone, Copy, Debug)]
+pub struct ContextualInputs<'a, 't, T: Scalar> {
+    /// Optical flow from target to source, two channels.
+    pub flow: Var<'t, T>,
+    /// Predicted target depth.
+    pub depth: Var<'t, T>,
+    /// Rotation of `source_from_target`, `[n, 1, 3, 3]`.
+    pub rotation: Var<'t, T>,
+    /// Translation of `source_from_target`, `[n, 3, 1, 1]`.
+    pub translation: Var<'t, T>,
+    /// Flow of the rotation alone, two channels.
+    pub rotational: &'a Tensor<T>,
+    /// Camera of every sample, at the size of the maps.
+    pub intrinsics: &'a [Intrinsics],
+}
+
+impl<'t, T: Scalar> ContextualInputs<'_, 't, T> {
+    fn shape(&self) -> Shape {
+        self.depth.shape()
+    }
+
+    fn constant(&self, x: Tensor<T>) -> Var<'t, T> {
+        self.depth.tape().constant(x)
+    }
+
+    /// `t_k` at every pixel.
+    fn translation(&self, k: usize) -> Var<'t, T> {
+        self.translation.slice(1, k, 1).broadcast_to(self.shape())
+    }
+
+    /// `p` minus the centre, two channels.
+    fn offsets(&self, form: ContextualForm) -> Var<'t, T> {
+        let s = self.shape();
+        let centre = |n: usize| match form {
+            ContextualForm::Corrected => [self.intrinsics[n].u0, self.intrinsics[n].v0],
+            _ => [(s.w() - 1) as f64 / 2.0, (s.h() - 1) as f64 / 2.0],
+        };
+        self.constant(Tensor::from_fn(s.with_c(2), |n, c, h, w| T::from_f64([w, h][c] as f64 - centre(n)[c])))
+    }
+
+    /// `f_opt - sg(f_rot)`.
+    fn translational_flow(&self, form: ContextualForm) -> Var<'t, T> {
+        let rotational = match form {
+            ContextualForm::AsCoded => stretched(self.rotational),
+            _ => self.rotational.clone(),
+        };
+        self.flow.sub(self.constant(rotational))
+    }
+}
+
+/// Flows whose ends `p + f` are multiplied by `W / (W - 1)` and `H / (H - 1)`: what DCPI-Depth's way back from sampling positions
+/// makes of a flow. For comparison only.
+#[must_use]
+pub fn stretched<T: Scalar>(flow: &Tensor<T>) -> Tensor<T> {
+    let s = flow.shape();
+    let factor = [s.w(), s.h()].map(|size| T::from_f64(size as f64 / (size - 1) as f64));
+    Tensor::from_fn(s, |n, c, h, w| {
+        let p = T::from_usize([w, h][c]);
+        (p + flow.at(n, c, h, w)) * factor[c] - p
+    })
+}
+
+/// Error of the depth that the radial part of the flow implies ("v2").
+///
+/// **Gradient**: to flow, depth and `t_z`; none to the rotation.
+///
+/// # Panics
+/// When shapes differ.
+#[track_caller]
+pub fn radial_depth<'t, T: Scalar>(inputs: &ContextualInputs<'_, 't, T>, form: ContextualForm) -> Gated<'t, T> {
+    let (q, f) = (inputs.offsets(form), inputs.translational_flow(form));
+    let along = dot(q, f);
+    let upper = inputs.translation(2).mul(dot(q, q).add(along)).neg();
+    depth_error(upper, along.add_scalar(GUARD), inputs.depth)
+}
+
+/// Error of the depth triangulated from the sum of both image equations ("v1").
+///
+/// **Gradient**: to flow, depth, rotation and translation.
+///
+/// # Panics
+/// When shapes differ.
+#[track_caller]
+pub fn triangulated_depth<'t, T: Scalar>(inputs: &ContextualInputs<'_, 't, T>, form: TriangulatedForm) -> Gated<'t, T> {
+    let s = inputs.shape();
+    let column = Shape::new(s.n(), 1, 3, 1);
+    let (rotation, translation) = match form {
+        TriangulatedForm::Corrected => (inputs.rotation, inputs.translation),
+        TriangulatedForm::AsCoded => {
+            let back = inputs.rotation.transpose_hw();
+            let moved = back.matmul(inputs.translation.reshape(column)).reshape(inputs.translation.shape());
+            // -R^T t, and the code's own minus sign in front of the numerator.
+            (back, moved)
+        }
+    };
+    let ray = |n: usize, h: usize, w: usize| inputs.intrinsics[n].ray(w as f64, h as f64);
+    let rays = Tensor::from_fn(s.with_c(3), |n, c, h, w| T::from_f64(ray(n, h, w)[c]));
+    let flat = rays.reshaped(Shape::new(s.n(), 1, 3, s.plane()));
+    let turned = rotation.matmul(inputs.constant(flat)).reshape(s.with_c(3));
+    let per_pixel =
+        Tensor::from_fn(s.with_c(2), |n, c, _, _| T::from_f64([1.0 / inputs.intrinsics[n].fu, 1.0 / inputs.intrinsics[n].fv][c]));
+    let start = Tensor::from_fn(s, |n, _, h, w| T::from_f64(ray(n, h, w).x + ray(n, h, w).y));
+    let sum = dot(inputs.flow, inputs.constant(per_pixel)).add(inputs.constant(start));
+    let part = |x: Var<'t, T>, k: usize| x.slice(1, k, 1);
+    let t = |k: usize| part(translation, k).broadcast_to(s);
+    let upper = t(0).add(t(1)).sub(t(2).mul(sum));
+    let lower = part(turned, 2).mul(sum).sub(part(turned, 0).add(part(turned, 1))).add_scalar(GUARD);
+    depth_error(upper, lower, inputs.depth)
+}
+
+/// `L_rig`: relative difference of optical and rigid flow, component by component; `rigid` is `[n, 2, h, w]`, pixels.
+///
+/// **Gradient**: to the optical flow.
+///
+/// # Panics
+/// When shapes differ.
+#[track_caller]
+pub fn rigid_agreement<'t, T: Scalar>(optical: Var<'t, T>, rigid: &Tensor<T>) -> Gated<'t, T> {
+    let difference = optical.sub(optical.tape().constant(rigid.clone()));
+    relative(difference, optical.add_scalar(GUARD), None, RIGID_GATE)
+}
+
+/// `L_dpc`: the divergence of the translational flow must go with the slope of the depth.
+///
+/// For a translation along the axis `f = -q t_z / D_s` with the source depth `D_s = D + t_z`, so
+/// `div f D_s / t' = 2 - (q . grad D) / D_s` with `t' = -t_z`. With central differences that are not divided by two,
+/// `a = div D_s / t' - 4` and `b = -(q . grad) / D_s` must be equal; the loss is the mean of `|a - b| / |b + 1e-5|` below 0.2.
+/// DCPI-Depth adds it in the last third of training. Differences neglect third derivatives of the flow.
+///
+/// **Gradient**: to flow, depth and `t_z`.
+///
+/// # Panics
+/// When shapes differ or a side is shorter than 3 pixels.
+#[track_caller]
+pub fn divergence_agreement<'t, T: Scalar>(
+    inputs: &ContextualInputs<'_, 't, T>,
+    centre: ContextualForm,
+    form: DivergenceForm,
+) -> Gated<'t, T> {
+    let (q, f) = (inputs.offsets(centre), inputs.translational_flow(centre));
+    let backward = inputs.translation(2).neg();
+    let scale = match form {
+        DivergenceForm::Corrected => inputs.depth.sub(backward),
+        DivergenceForm::AsCoded => inputs.depth,
+    };
+    let inner = match form {
+        DivergenceForm::Corrected => inner_pixels(inputs.shape()),
+        DivergenceForm::AsCoded => Tensor::full(inputs.shape(), T::ONE),
+    };
+    let usable = usable(&inner, &scale.value(), &backward.value());
+    let one = inputs.constant(Tensor::full(inputs.shape(), T::ONE));
+    let (scale, backward) = (scale.select(&usable, one), backward.select(&usable, one));
+    let divergence = central(f.slice(1, 0, 1), 3).add(central(f.slice(1, 1, 1), 2));
+    let slope = Var::concat(&[central(inputs.depth, 3), central(inputs.depth, 2)], 1);
+    let a = divergence.mul(scale).div(backward).add_scalar(-4.0);
+    let b = dot(slope, q).div(scale);
+    let b = if form == DivergenceForm::Corrected { b.neg() } else { b };
+    relative(a.sub(b), b.add_scalar(GUARD), Some(&usable), DIVERGENCE_GATE)
+}
+
+/// `depth + 0.2 divergence + 0.2 rigid`; DCPI-Depth adds [`WEIGHT`] times that to its loss.
+pub fn total<'t, T: Scalar>(depth: Var<'t, T>, divergence: Option<Var<'t, T>>, rigid: Var<'t, T>) -> Var<'t, T> {
+    let part = |x: Var<'t, T>| x.scale(PART_WEIGHT);
+    let sum = depth.add(part(rigid));
+    divergence.map_or(sum, |divergence| sum.add(part(divergence)))
+}
+
+/// `a . b` over the channels.
+fn dot<'t, T: Scalar>(a: Var<'t, T>, b: Var<'t, T>) -> Var<'t, T> {
+    let product = a.mul(b);
+    product.sum_to(product.shape().with_c(1))
+}
+
+/// `x(i + 1) - x(i - 1)` along rows (axis 2) or columns (3), with 0 outside.
+fn central<T: Scalar>(x: Var<'_, T>, axis: usize) -> Var<'_, T> {
+    let size = x.shape().0[axis];
+    let sides =
+        if axis == 2 { Sides { top: 1, bottom: 1, ..Sides::default() } } else { Sides { left: 1, right: 1, ..Sides::default() } };
+    let padded = x.pad_zero(sides);
+    padded.slice(axis, 2, size).sub(padded.slice(axis, 0, size))
+}
+
+/// 1 but for a frame of one pixel.
+fn inner_pixels<T: Scalar>(shape: Shape) -> Tensor<T> {
+    super::census::framed(&Tensor::full(shape, T::ONE), 1)
+}
+
+/// Pixels of a mask where both numbers can be divided by.
+fn usable<T: Scalar>(mask: &Tensor<T>, scale: &Tensor<T>, backward: &Tensor<T>) -> Tensor<T> {
+    let tiny = T::from_f64(1e-9);
+    let keep = |((&m, &d), &t): ((&T, &T), &T)| if m != T::ZERO && d > tiny && t.abs() > tiny { T::ONE } else { T::ZERO };
+    Tensor::from_vec(mask.shape(), mask.data().iter().zip(scale.data()).zip(backward.data()).map(keep).collect())
+}
+
+/// `|upper / lower - D| / (D + 1e-5)`, gated.
+fn depth_error<'t, T: Scalar>(upper: Var<'t, T>, lower: Var<'t, T>, depth: Var<'t, T>) -> Gated<'t, T> {
+    let guard = T::from_f64(GUARD);
+    let pixels = upper
+        .value()
+        .data()
+        .iter()
+        .zip(lower.value().data())
+        .zip(depth.value().data())
+        .map(|((&u, &l), &d)| {
+            // A depth that is not positive cannot count.
+            if d > T::ZERO { (u / l - d).abs() / (d + guard) } else { T::from_f64(f64::INFINITY) }
+        })
+        .collect();
+    let errors = Tensor::from_vec(depth.shape(), pixels);
+    let kept = below(&errors, DEPTH_GATE);
+    let one = depth.tape().constant(Tensor::full(depth.shape(), T::ONE));
+    let safe = |x: Var<'t, T>| x.select(&kept, one);
+    let depth = safe(depth);
+    let error = safe(upper).div(safe(lower)).sub(depth).abs().div(depth.add_scalar(GUARD));
+    Gated { mean: batch_mean(error, &kept, 0), errors, kept }
+}
+
+/// `|difference / size|` over the entries of `mask`, gated.
+fn relative<'t, T: Scalar>(difference: Var<'t, T>, size: Var<'t, T>, mask: Option<&Tensor<T>>, gate: f64) -> Gated<'t, T> {
+    let shape = size.shape();
+    let mut errors: Vec<T> = difference.value().data().iter().zip(size.value().data()).map(|(&d, &s)| (d / s).abs()).collect();
+    if let Some(mask) = mask {
+        let left_out = |(e, &m): (&mut T, &T)| {
+            if m == T::ZERO {
+                *e = T::from_f64(f64::INFINITY)
+            }
+        };
+        errors.iter_mut().zip(mask.data()).for_each(left_out);
+    }
+    let errors = Tensor::from_vec(shape, errors);
+    let kept = below(&errors, gate);
+    let one = size.tape().constant(Tensor::full(shape, T::ONE));
+    let error = difference.select(&kept, one).div(size.select(&kept, one)).abs();
+    Gated { mean: batch_mean(error, &kept, 0), errors, kept }
+}
+
+/// 1 where an error is below the gate (NaN is not).
+fn below<T: Scalar>(errors: &Tensor<T>, gate: f64) -> Tensor<T> {
+    let gate = T::from_f64(gate);
+    Tensor::from_vec(errors.shape(), errors.data().iter().map(|&e| if e < gate { T::ONE } else { T::ZERO }).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dimode_autodiff::gradcheck::random;
+    use dimode_autodiff::{GradCheck, Tape, gradcheck};
+    use dimode_geometry::Se3;
+    use dimode_geometry::taped::pose::pose_tensors;
+    use dimode_geometry::taped::{rigid_flow, so3_exp};
+    use nalgebra::Vector3;
+
+    const WIDTH: usize = 12;
+    const HEIGHT: usize = 10;
+
+    fn cameras() -> [Intrinsics; 2] {
+        [[20.0, 22.0, 4.3, 5.6], [25.0, 24.0, 6.8, 4.2]].map(|[a, b, c, d]| Intrinsics::new(a, b, c, d, WIDTH, HEIGHT).unwrap())
+    }
+
+    /// A slanted plane seen by either camera.
+    fn plane() -> Tensor<f64> {
+        Tensor::from_fn(Shape::new(2, 1, HEIGHT, WIDTH), |n, _, h, w| {
+            let ray = cameras()[n].ray(w as f64, h as f64);
+            8.0 / (1.0 + 0.6 * ray.x - 0.5 * ray.y)
+        })
+    }
+
+    fn flow_of(depth: &Tensor<f64>, motion: Se3) -> Tensor<f64> {
+        let tape = Tape::new();
+        let (r, t) = pose_tensors(&[motion; 2]);
+        rigid_flow(tape.constant(depth.clone()), tape.constant(r), tape.constant(t), &cameras()).slice(1, 0, 2).value()
+    }
+
+    fn motion(w: [f64; 3], t: [f64; 3]) -> Se3 {
+        Se3::from_rotation_vector(&Vector3::from(w), Vector3::from(t))
+    }
+
+    /// Runs `f` on the exact scene of a motion.
+    fn exact<R>(m: Se3, f: impl FnOnce(&ContextualInputs<'_, '_, f64>) -> R) -> R {
+        let (tape, depth) = (Tape::new(), plane());
+        let (r, t) = pose_tensors(&[m; 2]);
+        let still = Se3 { translation: Vector3::zeros(), ..m };
+        f(&ContextualInputs {
+            flow: tape.leaf(flow_of(&depth, m)),
+            depth: tape.leaf(depth.clone()),
+            rotation: tape.leaf(r),
+            translation: tape.leaf(t),
+            rotational: &flow_of(&depth, still),
+            intrinsics: &cameras(),
+        })
+    }
+
+    #[test]
+    fn the_radial_depth_is_exact_without_rotation_about_the_right_centre() {
+        exact(motion([0.0; 3], [0.0, 0.0, -1.0]), |inputs| {
+            // What remains is the guard of 1e-5 beside q . f.
+            let corrected = radial_depth(inputs, ContextualForm::Corrected);
+            assert!(corrected.mean.value().item() < 1e-4, "{corrected:?}");
+            assert!(radial_depth(inputs, ContextualForm::ImageCentre).mean.value().item() > 0.05);
+            assert!(radial_depth(inputs, ContextualForm::AsCoded).mean.value().item() > 0.1);
+        });
+    }
+
+    #[test]
+    fn the_triangulated_depth_is_exact_for_any_motion() {
+        exact(motion([0.02, -0.03, 0.04], [0.3, 0.2, -1.0]), |inputs| {
+            let corrected = triangulated_depth(inputs, TriangulatedForm::Corrected);
+            // Where x and y parts of the flow cancel, the guard of 1e-5 shows.
+            assert!(corrected.mean.value().item() < 2e-3, "{}", corrected.mean.value().item());
+            assert!(triangulated_depth(inputs, TriangulatedForm::AsCoded).mean.value().item() > 0.1);
+        });
+    }
+
+    #[test]
+    fn divergence_and_slope_agree_at_the_truth_but_not_as_coded() {
+        exact(motion([0.0; 3], [0.0, 0.0, -0.02]), |inputs| {
+            let errors = |form| divergence_agreement(inputs, ContextualForm::Corrected, form).errors;
+            let inner = inner_pixels::<f64>(inputs.shape());
+            let [good, coded] = [DivergenceForm::Corrected, DivergenceForm::AsCoded].map(|form| {
+                let errors = errors(form);
+                let mut inside: Vec<f64> =
+                    errors.data().iter().zip(inner.data()).filter(|(_, m)| **m != 0.0).map(|(e, _)| *e).collect();
+                inside.sort_by(f64::total_cmp);
+                inside[inside.len() / 2]
+            });
+            assert!(good < 0.05, "{good}");
+            assert!((coded - 2.0).abs() < 0.5, "{coded}");
+            let gated = divergence_agreement(inputs, ContextualForm::Corrected, DivergenceForm::Corrected);
+            assert!(gated.kept.data().iter().sum::<f64>() > 0.6 * 160.0);
+        });
+    }
+
+    #[test]
+    fn rigid_agreement_is_relative_and_gated() {
+        let tape = Tape::<f64>::new();
+        let shape = Shape::new(1, 2, 1, 2);
+        let flow = tape.leaf(Tensor::from_vec(shape, vec![2.0, 1.0, -1e-5, 4.0]));
+        let gated = rigid_agreement(flow, &Tensor::from_vec(shape, vec![1.5, 3.0, 1.0, 4.0]));
+        // 0.25; 2 does not count; a denominator of 0 does not count; 0.
+        assert!((gated.mean.value().item() - 0.125).abs() < 1e-5);
+        assert_eq!(gated.kept.data(), [1.0, 0.0, 0.0, 1.0]);
+        let grad = tape.backward(gated.mean).wrt(flow);
+        // d/df of (f - 1.5) / f = 1.5 / f^2, over two entries.
+        assert!((grad.data()[0] - 1.5 / 8.0).abs() < 1e-5);
+        assert_eq!(grad.data()[1..], [0.0; 3]);
+        let sum = total(gated.mean, Some(gated.mean), gated.mean).value().item();
+        assert!((sum - 1.4 * gated.mean.value().item()).abs() < 1e-15);
+        assert!((total(gated.mean, None, gated.mean).value().item() - 1.2 * gated.mean.value().item()).abs() < 1e-15);
+    }
+
+    #[test]
+    fn gradients_match_differences_in_every_form() {
+        let depth = random::<f64>(1, Shape::new(2, 1, HEIGHT, WIDTH), 6.0, 7.0);
+        let rotational = random::<f64>(3, Shape::new(2, 2, HEIGHT, WIDTH), 0.0, 0.1);
+        let w = random::<f64>(4, Shape::new(2, 3, 1, 1), 0.0, 0.02);
+        let t = Tensor::from_vec(Shape::new(2, 3, 1, 1), vec![0.2, 0.1, -1.0, -0.1, 0.2, -0.8]);
+        // A noisy version of the flow of an axial motion, so that most errors are below the gates and none is 0.
+        let base = flow_of(&depth, motion([0.0; 3], [0.1, 0.1, -1.0]));
+        let noise = random::<f64>(5, base.shape(), 0.02, 0.1);
+        let flow = Tensor::from_vec(base.shape(), base.data().iter().zip(noise.data()).map(|(a, b)| a + b).collect());
+        let check = GradCheck { step: 1e-7, rtol: 1e-4, atol: 1e-6, allow_zero: false };
+        let run = |f: &dyn for<'t> Fn(&ContextualInputs<'_, 't, f64>) -> Gated<'t, f64>| {
+            let report = gradcheck(
+                &[flow.clone(), depth.clone(), w.clone(), t.clone()],
+                |_, v| {
+                    let rotation = so3_exp(v[2]);
+                    let (rotational, intrinsics) = (&rotational, &cameras());
+                    f(&ContextualInputs { flow: v[0], depth: v[1], rotation, translation: v[3], rotational, intrinsics }).mean
+                },
+                check,
+            );
+            report.assert_ok();
+        };
+        for form in [ContextualForm::Corrected, ContextualForm::ImageCentre, ContextualForm::AsCoded] {
+            run(&|i| radial_depth(i, form));
+        }
+        for form in [TriangulatedForm::Corrected, TriangulatedForm::AsCoded] {
+            run(&|i| triangulated_depth(i, form));
+        }
+        for form in [DivergenceForm::Corrected, DivergenceForm::AsCoded] {
+            run(&|i| divergence_agreement(i, ContextualForm::Corrected, form));
+        }
+        run(&|i| rigid_agreement(i.flow, &base));
+    }
+
+    #[test]
+    fn without_motion_nothing_counts_and_nothing_is_nan() {
+        let tape = Tape::<f64>::new();
+        let shape = Shape::new(2, 1, HEIGHT, WIDTH);
+        let (r, t) = pose_tensors::<f64>(&[Se3::identity(); 2]);
+        let zero = Tensor::zeros(shape.with_c(2));
+        let leaves = [tape.leaf(zero.clone()), tape.leaf(Tensor::full(shape, 3.0)), tape.leaf(r), tape.leaf(t)];
+        let [flow, depth, rotation, translation] = leaves;
+        let inputs = ContextualInputs { flow, depth, rotation, translation, rotational: &zero, intrinsics: &cameras() };
+        let losses = [
+            divergence_agreement(&inputs, ContextualForm::Corrected, DivergenceForm::Corrected).mean,
+            divergence_agreement(&inputs, ContextualForm::AsCoded, DivergenceForm::AsCoded).mean,
+            radial_depth(&inputs, ContextualForm::Corrected).mean,
+            triangulated_depth(&inputs, TriangulatedForm::Corrected).mean,
+            rigid_agreement(flow, &zero).mean,
+        ];
+        for loss in losses {
+            assert!(loss.value().is_finite());
+            let grads = tape.backward(loss);
+            assert!(leaves.iter().all(|&v| grads.wrt(v).is_finite()));
+        }
+        assert_eq!(losses[0].value().item(), 0.0);
+    }
+
+    #[test]
+    fn pixels_beyond_the_gate_have_no_gradient() {
+        exact(motion([0.0; 3], [0.0, 0.0, -1.0]), |inputs| {
+            let shape = inputs.shape();
+            let wrong = Tensor::from_fn(shape, |n, _, h, w| if h == 3 { 0.01 } else { plane().at(n, 0, h, w) * 1.1 });
+            let depth = inputs.depth.tape().leaf(wrong);
+            let gated = radial_depth(&ContextualInputs { depth, ..*inputs }, ContextualForm::Corrected);
+            let grad = inputs.depth.tape().backward(gated.mean).wrt(depth);
+            for (g, k) in grad.data().iter().zip(gated.kept.data()) {
+                assert_eq!(*g != 0.0, *k != 0.0);
+            }
+            assert!((0..WIDTH).all(|w| gated.kept.at(0, 0, 3, w) == 0.0));
+        });
+    }
+}
