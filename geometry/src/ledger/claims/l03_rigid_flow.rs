@@ -23,7 +23,7 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("Divide by the third component of the vector, and mask pixels where it is not positive."),
     functions: &["flow::rigid::rigid_flow", "flow::rigid::printed_correspondence"],
-    taped: &[],
+    taped: &["taped::rigid_flow", "taped::so3_exp"],
     missing_way: None,
     check,
 };

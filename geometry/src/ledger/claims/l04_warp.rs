@@ -22,7 +22,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["warp::Image::read", "warp::Image::slope", "warp::Image::warped", "taped::warp::warp", "taped::masks::in_view"],
-    taped: &[],
+    taped: &["taped::warp"],
     missing_way: None,
     check,
 };

@@ -19,7 +19,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["homography::rotation_homography", "homography::transfer"],
-    taped: &[],
+    taped: &["taped::rigid_flow", "taped::so3_exp"],
     missing_way: None,
     check,
 };

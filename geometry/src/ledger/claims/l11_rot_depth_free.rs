@@ -20,7 +20,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["flow::rotational::rotational_flow", "flow::gradients::rigid_gradients"],
-    taped: &[],
+    taped: &["taped::rigid_flow", "taped::so3_exp"],
     missing_way: None,
     check,
 };

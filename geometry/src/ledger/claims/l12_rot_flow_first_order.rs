@@ -22,7 +22,7 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("Beyond about 0.01 rad use the full rotational flow."),
     functions: &["flow::rotational::rotational_flow_first_order", "flow::rotational::rotational_flow"],
-    taped: &[],
+    taped: &["taped::rigid_flow", "taped::so3_exp"],
     missing_way: None,
     check,
 };

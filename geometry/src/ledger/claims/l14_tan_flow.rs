@@ -20,7 +20,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["flow::tangential::tangential_flow", "flow::tangential::focal_scaled"],
-    taped: &[],
+    taped: &["taped::rigid_flow"],
     missing_way: None,
     check,
 };

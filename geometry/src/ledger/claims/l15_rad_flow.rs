@@ -18,7 +18,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["flow::radial::radial_flow"],
-    taped: &[],
+    taped: &["taped::rigid_flow"],
     missing_way: None,
     check,
 };

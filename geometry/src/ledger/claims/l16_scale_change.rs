@@ -19,7 +19,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: Some("z = 5, t_z = -0.8: the scale changes by 0.190476, -t_z / z_t is 0.16, 16 % too low."),
     correction: Some("Inversely proportional to the source depth z_t + t_z."),
     functions: &["flow::radial::scale_change", "flow::radial::scale_change_first_order", "flow::radial::scale_change_slope"],
-    taped: &[],
+    taped: &["taped::rigid_flow"],
     missing_way: None,
     check,
 };

@@ -32,7 +32,7 @@ pub(super) static CLAIM: Claim = Claim {
         "flow::rigid::rigid_flow_by_parts",
         "flow::gradients::rigid_gradients",
     ],
-    taped: &[],
+    taped: &["taped::rigid_flow", "taped::so3_exp"],
     missing_way: None,
     check,
 };

@@ -30,7 +30,7 @@ pub(super) static CLAIM: Claim = Claim {
         "flow::gradients::depth_gradient_at_principal_point",
         "flow::translational::focus_of_expansion",
     ],
-    taped: &[],
+    taped: &["taped::rigid_flow"],
     missing_way: None,
     check,
 };

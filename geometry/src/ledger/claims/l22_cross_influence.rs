@@ -35,8 +35,8 @@ pub(super) static CLAIM: Claim = Claim {
         "flow::gradients::tangential_influence",
         "flow::gradients::tangential_influence_radius",
     ],
-    taped: &[],
-    missing_way: None,
+    taped: &["taped::rigid_flow"],
+    missing_way: Some("Second derivatives: forward mode and the tape give first ones, so the tape's gradient is differenced."),
     check,
 };
 

@@ -32,7 +32,7 @@ pub(super) static CLAIM: Claim = Claim {
         "backprojection::DepthCell::by_depth",
         "backprojection::DepthCell::by_inverse_depth",
     ],
-    taped: &[],
+    taped: &["taped::align", "taped::warp"],
     missing_way: None,
     check,
 };

@@ -44,7 +44,14 @@ pub(super) static CLAIM: Claim = Claim {
         "alignment::printed::tangential_ratio_factors",
         "alignment::printed::radial_ratio_error_first_order",
     ],
-    taped: &[],
+    taped: &[
+        "taped::align",
+        "taped::translation_in_target_frame",
+        "losses::planar",
+        "losses::axial",
+        "losses::tangential",
+        "losses::radial",
+    ],
     missing_way: None,
     check,
 };

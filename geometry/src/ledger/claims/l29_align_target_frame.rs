@@ -20,7 +20,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["alignment::Convention::translation", "alignment::planar", "alignment::axial", "taped::align"],
-    taped: &[],
+    taped: &["taped::align"],
     missing_way: None,
     check,
 };

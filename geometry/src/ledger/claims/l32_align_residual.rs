@@ -34,7 +34,7 @@ pub(super) static CLAIM: Claim = Claim {
         "alignment::printed::pixel_terms",
         "scenes::families::Family::motion",
     ],
-    taped: &[],
+    taped: &["taped::align", "losses::planar", "losses::axial", "losses::tangential", "losses::radial"],
     missing_way: None,
     check,
 };

@@ -22,7 +22,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["alignment::planar_jacobian", "alignment::axial_jacobian", "taped::align"],
-    taped: &[],
+    taped: &["taped::align"],
     missing_way: None,
     check,
 };

@@ -29,7 +29,7 @@ pub(super) static CLAIM: Claim = Claim {
         "Circular variance 2 (1 - |E[f / |f|]|): zero exactly for parallel flows of one orientation, in every direction alike.",
     ),
     functions: &["loss_forms::planar::printed", "loss_forms::planar::circular", "loss_forms::planar::weighted"],
-    taped: &[],
+    taped: &["losses::planar"],
     missing_way: None,
     check,
 };

@@ -34,7 +34,7 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::planar::gradients::unfolded",
         "loss_forms::planar::gradients::perpendicular",
     ],
-    taped: &[],
+    taped: &["losses::planar"],
     missing_way: None,
     check,
 };

@@ -26,7 +26,7 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("Leave out pairs whose predicted tangential flow is short against the noise."),
     functions: &["noise::planar_angle_variance"],
-    taped: &[],
+    taped: &["losses::planar"],
     missing_way: None,
     check,
 };

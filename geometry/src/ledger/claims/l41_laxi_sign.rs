@@ -26,7 +26,7 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::axial::folded",
         "loss_forms::axial::flow_sign",
     ],
-    taped: &[],
+    taped: &["losses::axial"],
     missing_way: None,
     check,
 };

@@ -25,7 +25,7 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("The sign-aware or the unsigned angle: 0 for both sources."),
     functions: &["loss_forms::axial::printed", "loss_forms::axial::pose_sign", "aligned_scene::AlignedScene::with_error"],
-    taped: &[],
+    taped: &["losses::axial"],
     missing_way: None,
     check,
 };

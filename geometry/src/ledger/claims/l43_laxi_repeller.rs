@@ -27,7 +27,7 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("The sign-aware angle rises with the error for both sources."),
     functions: &["loss_forms::axial::printed", "loss_forms::axial::pose_sign", "sensitivity::axial_response"],
-    taped: &[],
+    taped: &["losses::axial"],
     missing_way: None,
     check,
 };

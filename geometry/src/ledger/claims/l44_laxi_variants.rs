@@ -36,7 +36,7 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::axial::gradients::smooth",
         "loss_forms::axial::gradients::perpendicular",
     ],
-    taped: &[],
+    taped: &["losses::axial"],
     missing_way: None,
     check,
 };

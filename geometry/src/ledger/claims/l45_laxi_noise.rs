@@ -24,7 +24,7 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("Leave out pairs whose radial translation is small against the depth."),
     functions: &["noise::axial_angle_mean"],
-    taped: &[],
+    taped: &["losses::axial"],
     missing_way: None,
     check,
 };

@@ -40,7 +40,7 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::planar::gradients::circular",
         "loss_forms::axial::gradients::smooth",
     ],
-    taped: &[],
+    taped: &["losses::planar", "losses::axial", "taped::translation_in_target_frame"],
     missing_way: None,
     check,
 };

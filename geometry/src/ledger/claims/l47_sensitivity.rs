@@ -36,7 +36,7 @@ pub(super) static CLAIM: Claim = Claim {
         "sensitivity::mean_magnitude",
         "sensitivity::root_mean_square",
     ],
-    taped: &[],
+    taped: &["taped::align"],
     missing_way: None,
     check,
 };

@@ -26,7 +26,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["sensitivity::axial_response", "observability::correlation"],
-    taped: &[],
+    taped: &["losses::axial"],
     missing_way: None,
     check,
 };

@@ -35,8 +35,8 @@ pub(super) static CLAIM: Claim = Claim {
         "observability::rotation_visibility",
         "observability::correlation",
     ],
-    taped: &[],
-    missing_way: None,
+    taped: &["taped::align", "losses::planar", "losses::axial"],
+    missing_way: Some("Central differences are taken pixel by pixel, in L47."),
     check,
 };
 

@@ -23,7 +23,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["ratios::tangential_ratios", "ratios::inverse_tangential_ratios"],
-    taped: &[],
+    taped: &["losses::tangential"],
     missing_way: None,
     check,
 };

@@ -24,7 +24,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["ratios::radial_ratio", "ratios::inverse_radial_ratio", "ratios::radial_ratio_of_component"],
-    taped: &[],
+    taped: &["losses::radial"],
     missing_way: None,
     check,
 };

@@ -21,7 +21,7 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::tangential::printed_terms",
         "loss_forms::radial::printed_terms",
     ],
-    taped: &[],
+    taped: &["losses::tangential", "losses::radial"],
     missing_way: None,
     check,
 };

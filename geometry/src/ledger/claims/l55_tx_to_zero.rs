@@ -38,7 +38,7 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::tangential::flow_pixels",
         "loss_forms::tangential::flow_pixels_slopes",
     ],
-    taped: &[],
+    taped: &["losses::tangential"],
     missing_way: None,
     check,
 };

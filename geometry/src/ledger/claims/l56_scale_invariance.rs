@@ -32,7 +32,7 @@ pub(super) static CLAIM: Claim = Claim {
         "ledger::estimates::PlainLosses::new",
         "ledger::estimates::taped_loss",
     ],
-    taped: &[],
+    taped: &["losses::planar", "losses::axial", "losses::tangential", "losses::radial"],
     missing_way: None,
     check,
 };

@@ -29,7 +29,7 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: None,
     functions: &["recovery::rotation_leak", "recovery::translation"],
-    taped: &[],
+    taped: &["taped::align"],
     missing_way: None,
     check,
 };
