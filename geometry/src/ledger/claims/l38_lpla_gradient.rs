@@ -29,7 +29,7 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::planar::gradients::arccos_slope",
         "loss_forms::planar::gradients::printed",
     ],
-    taped: &[],
+    taped: &["losses::planar::planar"],
     missing_way: None,
     check,
 };

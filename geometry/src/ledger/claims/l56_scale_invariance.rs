@@ -32,7 +32,7 @@ pub(super) static CLAIM: Claim = Claim {
         "ledger::estimates::PlainLosses::new",
         "ledger::estimates::taped_loss",
     ],
-    taped: &[],
+    taped: &["losses::planar::planar", "losses::axial::axial", "losses::tangential::tangential", "losses::radial::radial"],
     missing_way: None,
     check,
 };

@@ -26,8 +26,11 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["ledger::forward::pipeline::losses", "ledger::estimates::taped_loss", "ledger::estimates::PlainLosses::new"],
-    taped: &[],
-    missing_way: None,
+    taped: &["losses::planar::planar", "losses::axial::axial", "losses::tangential::tangential", "losses::radial::radial"],
+    missing_way: Some(
+        "Forward mode takes the place of the closed form, which would be the whole chain rule written out; one pixel's share \
+         of a mean is too small for central differences.",
+    ),
     check,
 };
 
