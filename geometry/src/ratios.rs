@@ -22,6 +22,20 @@ pub fn inverse_tangential_ratios(camera: &Intrinsics, planar_flow: &Vector2<f64>
     Vector2::new(planar_flow.x / camera.fu, planar_flow.y / camera.fv)
 }
 
+/// Derivatives of [`tangential_ratios`], each by its own flow component: `-f_u / f_x^2`, `-f_v / f_y^2`, 1 / px (L51).
+///
+/// **Domain**: flow components that are not zero.
+#[must_use]
+pub fn tangential_ratio_slopes(camera: &Intrinsics, planar_flow: &Vector2<f64>) -> Vector2<f64> {
+    Vector2::new(-camera.fu / planar_flow.x.powi(2), -camera.fv / planar_flow.y.powi(2))
+}
+
+/// Derivatives of [`inverse_tangential_ratios`], each by its own flow component: `1 / f_u`, `1 / f_v`, 1 / px (L51).
+#[must_use]
+pub fn inverse_tangential_ratio_slopes(camera: &Intrinsics) -> Vector2<f64> {
+    Vector2::new(camera.fu.recip(), camera.fv.recip())
+}
+
 /// `rho_z = -(d.(f + d)) / (d.f)` from an axial flow and `d = p - p0`: `z / a_z`.
 ///
 /// Depends on the radial component of the flow only; infinite or NaN where that vanishes, which
@@ -35,6 +49,22 @@ pub fn radial_ratio(axial_flow: &Vector2<f64>, d: &Vector2<f64>) -> f64 {
 #[must_use]
 pub fn inverse_radial_ratio(axial_flow: &Vector2<f64>, d: &Vector2<f64>) -> f64 {
     -d.dot(axial_flow) / d.dot(&(axial_flow + d))
+}
+
+/// Derivative of [`radial_ratio`] by the axial flow: `|d|^2 d / (d.f)^2`, 1 / px (L52).
+///
+/// **Domain**: `d.f != 0`.
+#[must_use]
+pub fn radial_ratio_gradient(axial_flow: &Vector2<f64>, d: &Vector2<f64>) -> Vector2<f64> {
+    d * (d.norm_squared() / d.dot(axial_flow).powi(2))
+}
+
+/// Derivative of [`inverse_radial_ratio`] by the axial flow: `-|d|^2 d / (d.(f + d))^2`, 1 / px (L52).
+///
+/// **Domain**: `d.(f + d) != 0`.
+#[must_use]
+pub fn inverse_radial_ratio_gradient(axial_flow: &Vector2<f64>, d: &Vector2<f64>) -> Vector2<f64> {
+    d * (-d.norm_squared() / d.dot(&(axial_flow + d)).powi(2))
 }
 
 /// Translation that one pixel's flows and target depth imply: `(z/rho_x, z/rho_y, z/rho_z)`.

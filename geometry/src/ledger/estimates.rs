@@ -3,6 +3,7 @@
 use dimode_autodiff::{Shape, Tape, Tensor, Var};
 use nalgebra::Vector3;
 
+use crate::camera::Intrinsics;
 use crate::loss_forms;
 use crate::losses::{AlignedPair, LossOptions, LossTerm, PairInputs};
 use crate::scenes::{Perturbed, STEP};
@@ -200,6 +201,25 @@ pub fn taped(
 #[must_use]
 pub fn taped_loss(estimate: &Perturbed, options: &LossOptions, form: Form) -> TapedLoss {
     taped(estimate, options, |pair, options| form(pair, options).mean)
+}
+
+/// Component `k` of the translation that a pair recovers, the mean of `z / rho_k` over all its pixels, on the tape.
+#[must_use]
+pub fn recovered<'t>(pair: &AlignedPair<'t, f64>, camera: &Intrinsics, k: usize) -> Var<'t, f64> {
+    let depth = pair.target_depth;
+    let along_axis = |focal: f64| depth.mul(pair.planar_flow.slice(1, k, 1)).scale(1.0 / focal).mean();
+    match k {
+        0 => along_axis(camera.fu),
+        1 => along_axis(camera.fv),
+        _ => {
+            let offset =
+                |of: &dyn Fn(usize, usize) -> f64| depth.tape().constant(Tensor::from_fn(depth.shape(), |_, _, v, u| of(v, u)));
+            let (d_u, d_v) = (offset(&|_, u| u as f64 - camera.u0), offset(&|v, _| v as f64 - camera.v0));
+            let along = pair.axial_flow.slice(1, 0, 1).mul(d_u).add(pair.axial_flow.slice(1, 1, 1).mul(d_v));
+            let whole = along.add(d_u.square()).add(d_v.square());
+            depth.mul(along).div(whole).neg().mean()
+        }
+    }
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ pub(super) static CLAIM: Claim = Claim {
                  shift; it is linear in the image, and its slope is the difference of the neighbours.",
     counter_example: None,
     correction: None,
-    functions: &["warp::Image::read", "warp::Image::slope", "warp::Image::warped", "taped::warp::warp", "taped::masks::in_view"],
+    functions: &["warp::Image::read", "warp::Image::slope", "warp::Image::warped", "taped::warp", "taped::masks::in_view"],
     taped: &["taped::warp"],
     missing_way: None,
     check,

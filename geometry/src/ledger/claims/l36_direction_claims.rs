@@ -25,7 +25,7 @@ pub(super) static CLAIM: Claim = Claim {
     ),
     correction: Some("(1) is necessary only. (2) f / |f| = -sign(t'_z) d / r."),
     functions: &["flow::tangential::tangential_flow", "flow::radial::radial_flow", "loss_forms::planar::circular"],
-    taped: &[],
+    taped: &["taped::align"],
     missing_way: None,
     check,
 };

@@ -71,7 +71,7 @@ fn check(trial: &mut Trial) {
     let leftward = list([[-1.0, 0.01], [-1.0, -0.01], [-2.0, 0.02], [-2.0, -0.02]]);
     f.documented("variance of atan2 of leftward flows, documented", planar::unfolded(&leftward), 9.80687463562, 1e-11);
     f.gap("variance of atan2 of flows parallel to 0.01 rad, rad^2", planar::unfolded(&leftward), 9.0);
-    f.bound("circular loss of flows parallel to 0.01 rad", planar::circular(&leftward), 1.01e-4);
+    f.bound("circular loss of flows parallel to 0.01 rad", planar::circular(&leftward), 1e-4);
 }
 
 fn flows(case: &Case) -> Vec<Vector2<f64>> {
@@ -88,8 +88,9 @@ fn slopes(case: &Case, f: &mut Findings) {
     let flows = flows(case);
     let unit: Vector2<f64> = flows.iter().map(|x| x / x.norm()).sum();
     let sum: Vector2<f64> = flows.iter().sum();
-    // Where the directions cancel, the length of their mean has a tip.
-    if unit.norm() < 0.05 || sum.norm() < 0.05 * flows.iter().map(Vector2::norm).sum::<f64>() {
+    let lengths: f64 = flows.iter().map(|x| x.norm()).sum();
+    // Where the directions cancel, or the flows do, the length of their mean has a tip.
+    if unit.norm() < 0.05 * flows.len() as f64 || sum.norm() < 0.05 * lengths {
         return;
     }
     derivatives(&flows, f);
@@ -110,7 +111,8 @@ fn small_spread(case: &Case, flows: &[Vector2<f64>], f: &mut Findings) {
     let angles = flows.iter().map(|x| centre + 1e-3 * x.y / x.norm());
     let close: Vec<_> = angles.map(|a| Vector2::new(a.cos(), a.sin())).collect();
     let variance = planar::wrapped(&close);
-    f.equal("circular loss - variance of the angles, relative", planar::circular(&close), variance, variance, 1e-4);
+    let miss = (planar::circular(&close) / variance - 1.0).abs();
+    f.bound("angles within 1e-3 rad: |circular loss / variance of the angles - 1|", miss, 1e-4);
 }
 
 /// A form of the loss: name, closed gradient, forward mode, plain value, tape.
@@ -162,7 +164,8 @@ fn derivatives(flows: &[Vector2<f64>], f: &mut Findings) {
     }
     for (name, closed, dual, plain, tape) in FORMS {
         let closed = by::scaled(flows, &closed(flows));
-        let scale = closed.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+        // One long flow among short ones leaves hardly any slope, while differences of a loss of the size 1 stay at 1e-10.
+        let scale = closed.iter().fold(0.01f64, |m, x| m.max(x.abs()));
         let (forward, tape, central) = (by::forward(flows, dual), tape(flows), by::central(flows, plain));
         f.derivative(&format!("dL/df, {name}, lengths of the flow"), &closed, Some(&forward), Some(&tape), Some(&central), scale);
     }

@@ -1,10 +1,13 @@
 //! L41: the sign of the axial direction.
 
+use nalgebra::Vector2;
+
 use crate::aligned_scene::AlignedScene;
-use crate::alignment::{self, Match};
+use crate::alignment::{self, Convention, Match};
 use crate::flow::rigid::rigid_flow;
-use crate::ledger::{Case, Claim, Findings, Trial, Verdict};
+use crate::ledger::{Case, Claim, Findings, Trial, Verdict, taped};
 use crate::loss_forms::axial;
+use crate::losses::{AxialForm, LossOptions};
 use crate::scenes;
 
 pub(super) static CLAIM: Claim = Claim {
@@ -34,26 +37,20 @@ pub(super) static CLAIM: Claim = Claim {
 fn check(trial: &mut Trial) {
     trial.cases(at);
     let f = &mut trial.findings;
+    let options = LossOptions { convention: Convention::Consistent, ..taped::bare() };
     for (reference, expected) in [(scenes::drive_next(), 0.0), (scenes::drive_prev(), std::f64::consts::PI)] {
         let Some(seen) = AlignedScene::with_error(&reference, &[0.0; 6]) else {
             return f.residual("a reference in front of the camera", f64::NAN, 1.0);
         };
-        f.residual(
-            "printed loss of the references, documented, rad",
-            axial::printed(&seen.axial, &seen.offsets) - expected,
-            1e-9,
-        );
-        if seen.translation.z > 0.0 {
-            f.gap("printed angle for t'_z > 0, rad", axial::printed(&seen.axial, &seen.offsets), 3.1);
-        }
-        f.residual(
-            "sign-aware loss of the references, rad",
-            axial::pose_sign(&seen.axial, &seen.offsets, seen.translation.z),
-            1e-9,
-        );
-        f.residual("loss by the sign of the flows, rad", axial::flow_sign(&seen.axial, &seen.offsets), 1e-9);
-        f.residual("loss between the lines, rad", axial::folded(&seen.axial, &seen.offsets), 1e-9);
+        let printed = axial::printed(&seen.axial, &seen.offsets);
+        f.residual("printed loss of the references, documented, rad", printed - expected, 1e-9);
+        forms(&seen.axial, &seen.offsets, seen.translation.z, f);
+        let taped = |axial| taped::scene_losses(&reference.scene, &reference.motion, &LossOptions { axial, ..options })[1];
+        // On the tape the arc cosine sees angles of the size of the root of rounding.
+        f.residual("printed loss of the references on the tape, rad", taped(AxialForm::Literal) - expected, 1e-6);
+        f.residual("sign-aware loss of the references on the tape, rad", taped(AxialForm::PoseSign), 1e-9);
     }
+    trial.count(2 * scenes::road().pixels.len());
 }
 
 fn at(case: &Case, f: &mut Findings) {
@@ -66,16 +63,20 @@ fn at(case: &Case, f: &mut Findings) {
         alignment::axial(&case.camera, &case.motion.rotation, &a, &m)
     });
     let Some(aligned) = aligned else { return f.residual("point in front of the camera", f64::NAN, 1.0) };
-    let flow = [aligned.flow];
-    let expected = if a.z > 0.0 { std::f64::consts::PI } else { 0.0 };
-    f.residual("printed angle - (0 or pi by the sign of t'_z), rad", axial::printed(&flow, &d) - expected, 1e-9);
-    f.residual("sign-aware angle, rad", axial::pose_sign(&flow, &d, a.z), 1e-9);
-    f.residual("angle by the sign of the flow, rad", axial::flow_sign(&flow, &d), 1e-9);
-    f.residual("sign of the flow + sign of t'_z", axial::sign_of_flows(&flow, &d) + a.z.signum(), 0.0);
-    f.residual("angle between the lines, rad", axial::folded(&flow, &d), 1e-9);
-    f.residual("squared sine of the angle", axial::smooth(&flow, &d), 1e-18);
-    if a.z > 0.0 {
-        f.gap("printed angle for t'_z > 0, rad", axial::printed(&flow, &d), 3.1);
+    forms(&[aligned.flow], &d, a.z, f);
+}
+
+/// All forms of the loss over exact axial flows.
+fn forms(flows: &[Vector2<f64>], d: &[Vector2<f64>], a_z: f64, f: &mut Findings) {
+    let expected = if a_z > 0.0 { std::f64::consts::PI } else { 0.0 };
+    f.residual("printed angle - (0 or pi by the sign of t'_z), rad", axial::printed(flows, d) - expected, 1e-9);
+    f.residual("sign-aware angle, rad", axial::pose_sign(flows, d, a_z), 1e-9);
+    f.residual("angle by the sign of the flow, rad", axial::flow_sign(flows, d), 1e-9);
+    f.residual("sign of the flow + sign of t'_z", axial::sign_of_flows(flows, d) + a_z.signum(), 0.0);
+    f.residual("angle between the lines, rad", axial::folded(flows, d), 1e-9);
+    f.residual("squared sine of the angle", axial::smooth(flows, d), 1e-18);
+    if a_z > 0.0 {
+        f.gap("printed angle for t'_z > 0, rad", axial::printed(flows, d), 3.1);
     }
 }
 

@@ -14,7 +14,7 @@ pub(super) static CLAIM: Claim = Claim {
     place: "eq. la with three frames",
     statement: "Eq. la can be applied to both sources of a snippet of three frames.",
     verdict: Verdict::Fails,
-    condition: Some("both sources lie ahead of the target (t'_z < 0): the camera turns back between the two frames"),
+    condition: Some("both sources lie ahead of the target (t'_z < 0), that is, the camera reverses between the frames"),
     formula: "t'_z of the previous and of the next frame have opposite signs: the mean of the two losses at the truth is pi/2",
     derivation: "If the motion M repeats, the next source is M and the previous one M^-1, whose translation in its target \
                  frame is -t = -R t': the third component keeps its size up to the rotation and changes its sign. By L41 one \
@@ -32,9 +32,11 @@ pub(super) static CLAIM: Claim = Claim {
 
 fn check(trial: &mut Trial) {
     trial.cases(signs);
-    let f = &mut trial.findings;
     let references = [scenes::drive_next(), scenes::drive_prev()];
-    at(&references, f);
+    at(&references, &mut trial.findings);
+    trial.count(2 * scenes::road().pixels.len());
+    let [next, _] = &references;
+    reversing(next, &mut trial.findings);
     for _ in 0..(trial.samples / 100).max(1) {
         let next = forward_motion(&std::array::from_fn(|_| trial.draw.unit()));
         at(&snippet(next), &mut trial.findings);
@@ -70,6 +72,13 @@ fn at(references: &[Reference; 2], f: &mut Findings) {
     f.gap("printed mean over the two sources, rad", mean, 1.57);
     f.gap("the worse of the two sources, printed, rad", next[0].max(previous[0]), 3.1);
     f.residual("sign-aware mean over the two sources, rad", (next[1] + previous[1]) / 2.0, 1e-9);
+}
+
+/// A camera that moves ahead and back again: the condition under which the printed loss holds.
+fn reversing(next: &Reference, f: &mut Findings) {
+    let seen = AlignedScene::with_error(next, &[0.0; 6]);
+    let both = seen.map_or(f64::NAN, |s| axial::printed(&s.axial, &s.offsets));
+    f.residual("printed loss of either source of a camera that reverses, rad", both, 1e-9);
 }
 
 /// A repeated motion has opposite radial translations while the rotation cannot turn the tangential part into more.

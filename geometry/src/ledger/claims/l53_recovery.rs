@@ -1,6 +1,12 @@
 //! L53: the translation recovered from flows and depths.
 
-use crate::ledger::{Claim, Findings, Trial, Verdict};
+use dimode_autodiff::proof::{Dual, Number};
+use nalgebra::Vector3;
+
+use crate::alignment::Convention;
+use crate::ledger::forward::{self, pipeline};
+use crate::ledger::{Claim, Findings, Trial, Verdict, estimates};
+use crate::losses::LossOptions;
 use crate::recovery;
 use crate::scenes::{self, Perturbed, Reference};
 
@@ -17,7 +23,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["recovery::translation", "ratios::recovered_translation"],
-    taped: &[],
+    taped: &["taped::align", "losses::tangential", "losses::radial"],
     missing_way: None,
     check,
 };
@@ -28,6 +34,7 @@ fn check(trial: &mut Trial) {
         let x = std::array::from_fn(|_| trial.draw.unit());
         let reference = &references[i % references.len()];
         at(reference, &x, &mut trial.findings);
+        by_log_depth(&wavy(reference, &x), &mut trial.findings);
         trial.count(reference.scene.pixels.len());
     }
     let documented = [0.0612237696429, 0.0408158464286, -0.0816316928572];
@@ -37,7 +44,13 @@ fn check(trial: &mut Trial) {
     }
 }
 
-fn recovered(estimate: &Perturbed) -> nalgebra::Vector3<f64> {
+/// Depths with errors in waves.
+fn wavy(reference: &Reference, x: &[f64; 3]) -> Perturbed {
+    let (height, shift) = (0.3 * x[0], 0.5 + x[1]);
+    Perturbed::exact(reference).with_target_depths(|p| shift + height * scenes::target_wave(p))
+}
+
+fn recovered(estimate: &Perturbed) -> Vector3<f64> {
     let (planar, axial) = (estimate.planar_flows(), estimate.axial_flows());
     let scene = &estimate.scene;
     recovery::translation(&scene.camera, [&planar, &axial], &scene.offsets(), &estimate.target_depths)
@@ -45,8 +58,7 @@ fn recovered(estimate: &Perturbed) -> nalgebra::Vector3<f64> {
 
 /// A scene with depth errors in waves, and the same times a constant.
 fn at(reference: &Reference, x: &[f64; 3], f: &mut Findings) {
-    let (height, shift, constant) = (0.3 * x[0], 0.5 + x[1], 0.2 + 3.0 * x[2]);
-    let wavy = Perturbed::exact(reference).with_target_depths(|p| shift + height * scenes::target_wave(p));
+    let (wavy, constant) = (wavy(reference, x), 0.2 + 3.0 * x[2]);
     let truth = wavy.in_target;
     let quotients = wavy.target_depths.iter().zip(&wavy.scene.depths).map(|(a, b)| a / b);
     let mean = quotients.sum::<f64>() / wavy.target_depths.len() as f64;
@@ -60,6 +72,28 @@ fn at(reference: &Reference, x: &[f64; 3], f: &mut Findings) {
     f.residual("true depths: recovered translation - t', relative", (exact - truth).norm() / truth.norm(), 1e-12);
 }
 
+/// By the logarithm of all target depths: linear in them, so that the derivative is what is recovered.
+fn by_log_depth(estimate: &Perturbed, f: &mut Findings) {
+    let closed = recovered(estimate);
+    let forward = forward::jacobian([0.0], |[x]: [Dual; 1]| changed(estimate, x));
+    let central = forward::central([0.0], [1e-3], |[x]: [f64; 1]| changed(estimate, x));
+    let options = LossOptions { convention: Convention::Consistent, ..LossOptions::literal() };
+    let camera = estimate.scene.grid_camera();
+    let taped = [0, 1, 2].map(|k| estimates::taped(estimate, &options, |pair, _| estimates::recovered(pair, &camera, k)));
+    let values = Vector3::from_fn(|k, _| taped[k].value);
+    f.residual("recovered translation on the tape - plain, relative", (values - closed).norm() / closed.norm(), 1e-12);
+    let tape = taped.each_ref().map(|x| x.log_target.iter().sum::<f64>());
+    let what = "d E[z_hat / rho] / d log z_hat";
+    f.derivative(what, closed.as_slice(), Some(&forward), Some(&tape), Some(&central), closed.norm());
+}
+
+/// The recovered translation when the logarithm of all target depths changes by `x`, to first order.
+fn changed<N: Number>(estimate: &Perturbed, x: N) -> [N; 3] {
+    let mut changes = [N::zero(); pipeline::CHANGES];
+    changes[6] = x;
+    pipeline::recovered_translation(estimate, 0, changes)
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
@@ -70,7 +104,11 @@ mod tests {
     proptest! {
         #[test]
         fn holds_in_every_scene(number in 0usize..6, x in prop::array::uniform3(0.0f64..1.0)) {
-            holds(|f| at(&scenes::references()[number], &x, f))?;
+            let reference = &scenes::references()[number];
+            holds(|f| {
+                at(reference, &x, f);
+                by_log_depth(&wavy(reference, &x), f);
+            })?;
         }
     }
 }

@@ -129,7 +129,7 @@ fn at(case: &Case, f: &mut Findings) {
     let size = reach + 1.0 / z;
     let linear = predicted.dot(&error) / predicted.norm_squared();
     f.equal("1/z_geo is linear in the flow: change - F . n / |F|^2", moved, linear, size, 1e-12);
-    f.residual("change of 1/z_geo beyond |n| / |F|, relative", (moved.abs() / reach - 1.0 - 1e-9 * size / reach).max(0.0), 1e-12);
+    f.bound("change of 1/z_geo over |n| / |F|, without rounding", (moved.abs() - 1e-9 * size) / reach, 1.0 + 1e-12);
     slope_along_flow(case, &t, flow + error, f);
     slopes_in_pixels(case, &t, flow + error, f);
 }
@@ -167,8 +167,8 @@ fn slopes_in_pixels(case: &Case, t: &Vector3<f64>, flow: Vector2<f64>, f: &mut F
     let tape = [rows[0][0], rows[0][1], rows[0][3]];
     let scale = camera.fu.max(camera.fv) / z;
     f.derivative("d|F/z - f_pla| / d(t_x, t_y, z)", closed.as_slice(), Some(&dual), Some(&tape), Some(&central), scale);
-    let beyond = (closed.x.abs() - camera.fu / z).max(closed.y.abs() - camera.fv / z).max(0.0);
-    f.residual("slopes beyond f_u / z, f_v / z, relative", beyond / scale, 1e-12);
+    let largest = (closed.x.abs() / camera.fu).max(closed.y.abs() / camera.fv) * z;
+    f.bound("slopes over f_u / z, f_v / z", largest, 1.0 + 1e-12);
 }
 
 fn length<N: Number>(camera: &crate::Intrinsics, flow: Vector2<f64>, [t_x, t_y, z]: [N; 3]) -> N {

@@ -27,7 +27,7 @@ pub(super) static CLAIM: Claim = Claim {
         "ratio_bias::radial_recovery_bias",
         "ratio_bias::radial_recovery_bias_second_order",
     ],
-    taped: &[],
+    taped: &["losses::tangential", "losses::radial"],
     missing_way: None,
     check,
 };
@@ -75,15 +75,15 @@ fn radial(sigma: f64, [z, t_z, r]: [f64; 3], left: f64, f: &mut Findings) {
     let bias = radial_recovery_bias(sigma, z, t_z, r);
     let (variance, fourth) = (truncated_variance(sigma), truncated_mean(sigma, |n| n.powi(4)));
     let second = radial_recovery_bias_second_order(variance, z, t_z, r);
-    f.residual("bias not above 0: 1 if so", f64::from(u8::from(bias <= 0.0)), 0.0);
+    f.floor("bias over its second order, which is positive", bias / second, 1.0 - 1e-11);
     // Even moments only: bias / second = 1 + m4 / (v R^2) + m6 / (v R^4) + ...; each further term is smaller by (3 sigma / R)^2.
     let next = fourth / (variance * left * left);
     let bound = next * (CUT * sigma / left).powi(2) / (1.0 - (CUT * sigma / left).powi(2));
     let excess = bias / second - 1.0 - next;
-    f.residual("bias below its fourth order, relative", (-excess).max(0.0), 1e-11);
-    f.residual("bias beyond its fourth order and the bound of the rest, relative", (excess - bound).max(0.0), 1e-11);
+    f.floor("bias - its fourth order, relative to its second", excess, -1e-11);
+    f.bound("bias - its fourth order - bound of the rest, relative to its second order", excess - bound, 1e-11);
     if left > 30.0 * sigma {
-        f.bound("bias / second order - 1 from 30 sigma on", bias / second - 1.0, 0.0035);
+        f.bound("from 30 sigma on: bias over its second order - 1", bias / second - 1.0, 0.0035);
     }
 }
 

@@ -27,7 +27,7 @@ pub(super) static CLAIM: Claim = Claim {
         "loss_forms::ratio_terms::pixel_term_slope",
         "loss_forms::ratio_terms::pixel_term_log_slope",
     ],
-    taped: &[],
+    taped: &["losses::tangential", "losses::radial"],
     missing_way: None,
     check,
 };

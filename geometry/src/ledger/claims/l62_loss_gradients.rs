@@ -28,7 +28,8 @@ pub(super) static CLAIM: Claim = Claim {
     functions: &["ledger::forward::pipeline::losses", "ledger::estimates::taped_loss", "ledger::estimates::PlainLosses::new"],
     taped: &["losses::planar", "losses::axial", "losses::tangential", "losses::radial"],
     missing_way: Some(
-        "There is no closed form: forward mode takes its place. Differences by the depth of one pixel drown in rounding.",
+        "Forward mode takes the place of the closed form, which would be the whole chain rule written out; one pixel's share \
+         of a mean is too small for central differences.",
     ),
     check,
 };
