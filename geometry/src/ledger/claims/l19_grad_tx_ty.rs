@@ -19,7 +19,7 @@ pub(super) static CLAIM: Claim = Claim {
     counter_example: None,
     correction: None,
     functions: &["flow::gradients::translational_gradients", "flow::gradients::rigid_gradients"],
-    taped: &[],
+    taped: &["taped::rigid_flow::rigid_flow", "taped::so3_exp::so3_exp"],
     missing_way: None,
     check,
 };
