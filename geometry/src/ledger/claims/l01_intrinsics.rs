@@ -9,7 +9,8 @@ pub(super) static CLAIM: Claim = Claim {
     id: "L01",
     slug: "intrinsics",
     place: "eq. intrinsic_matrix",
-    statement: "The viewing ray of a pixel is K^-1 (u, v, 1) = ((u - u0) / f_u, (v - v0) / f_v, 1); one K without skew for both views.",
+    statement: "The viewing ray of a pixel is K^-1 (u, v, 1) = ((u - u0) / f_u, (v - v0) / f_v, 1); one K without skew for both \
+         views.",
     verdict: Verdict::Exact,
     condition: Some("f_u f_v != 0"),
     formula: "K = [[f_u, 0, u0], [0, f_v, v0], [0, 0, 1]],  b(p) = K^-1 p~",

@@ -1,32 +1,38 @@
 //! L02: from which frame to which the transformation leads.
 
+use dimode_autodiff::Tape;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use crate::flow::rigid::rigid_flow;
 use crate::ledger::{Case, Claim, Findings, Trial, Verdict, forward};
 use crate::motion::{radial_part, tangential_part, translation_gap};
+use crate::taped::Pose;
+use crate::taped::pose::pose_tensors;
 use crate::{Se3, scenes, so3};
 
 pub(super) static CLAIM: Claim = Claim {
     id: "L02",
     slug: "direction-of-T",
     place: "text around p_s; eq. transformation",
-    statement: "One transformation T leads from the source view to the target view and carries target points to the source camera.",
+    statement: "One transformation T leads from the source view to the target view and carries target points to the source \
+         camera.",
     verdict: Verdict::Fails,
     condition: None,
     formula: "P_s = R P_t + t;  its inverse is P_t = R^T P_s - R^T t",
-    derivation: "Both readings are legitimate, and they are inverse to each other. eq. p_s and the flows of the components project \
-                 R P_t + t: target to source. 'Rotate the source camera by R, then add a part of t' moves source points: source to \
-                 target. With A = R^T, a = -t' = -R^T t it gives A P_s + rad(a) = P_t + tan(t'), as it should.",
+    derivation: "Both readings are legitimate, and they are inverse to each other. eq. p_s and the flows of the components \
+                 project R P_t + t: target to source. 'Rotate the source camera by R, then add a part of t' moves source \
+                 points: source to target. With A = R^T, a = -t' = -R^T t it gives A P_s + rad(a) = P_t + tan(t'), as it \
+                 should.",
     counter_example: Some(
-        "R = exp(0.03, -0.05, 0.02), t = (0.06, 0.04, -0.08): the inverse has the translation (-0.056661, -0.036371, 0.084063), not \
-         -t. With K of kitti640, p = (451, 63), z = 12.5 the flow of the inverse differs by 37 px.",
+        "R = exp(0.03, -0.05, 0.02), t = (0.06, 0.04, -0.08): the inverse has the translation (-0.056661, -0.036371, 0.084063), \
+         not -t. With K of kitti640, p = (451, 63), z = 12.5 the flow of the inverse differs by 37 px.",
     ),
     correction: Some(
-        "T of eq. p_s leads from target to source; where source points are moved, its inverse, of rotation R^T and translation -R^T t.",
+        "T of eq. p_s leads from target to source; where source points are moved, its inverse, of rotation R^T and translation \
+         -R^T t.",
     ),
     functions: &["se3::Se3::transform", "se3::Se3::inverse", "se3::Se3::translation_in_from_frame", "flow::rigid::rigid_flow"],
-    taped: &[],
+    taped: &["taped::pose::inverse"],
     missing_way: None,
     check,
 };
@@ -59,6 +65,15 @@ fn at(case: &Case, f: &mut Findings) {
     let there_and_back = inverse * *motion;
     f.residual("T^-1 T - I, rotation", (there_and_back.rotation - Matrix3::identity()).abs().max(), 1e-14);
     f.residual("T^-1 T - I, translation relative to the point", there_and_back.translation.norm() / size, 1e-14);
+    let (rotation, translation) = pose_tensors::<f64>(&[*motion]);
+    let tape = Tape::new();
+    let taped = Pose { rotation: tape.constant(rotation), translation: tape.constant(translation) }.inverse().to_se3()[0];
+    f.residual("inverse on the tape, rotation", (taped.rotation - inverse.rotation).amax(), 1e-14);
+    f.residual(
+        "inverse on the tape, translation relative to the point",
+        (taped.translation - inverse.translation).norm() / size,
+        1e-14,
+    );
     let source = motion.transform(&point);
     let turned = forward::rotated::<f64>(so3::log(&motion.rotation).into(), point.into());
     let expected = Vector3::from(turned) + motion.translation;

@@ -14,12 +14,12 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Conditional,
     condition: Some("z_s is the depth of the transformed point, z_s = e_3 . (z_t R b + t) > 0"),
     formula: "p_s = pi(z_t R b(p_t) + t),  f = p_s - p_t",
-    derivation: "K b = p~, so K P = z p~ for a point P of depth z at pixel p. Hence K (R P_t + t) = z_s p~_s with the depth z_s of that \
-                 very point; any other divisor z_hat leaves the third component z_s / z_hat. The prediction at p_s is no way out: \
-                 p_s is known only after the division.",
+    derivation: "K b = p~, so K P = z p~ for a point P of depth z at pixel p. Hence K (R P_t + t) = z_s p~_s with the depth z_s \
+                 of that very point; any other divisor z_hat leaves the third component z_s / z_hat. The prediction at p_s is \
+                 no way out: p_s is known only after the division.",
     counter_example: Some(
-        "K of kitti640, omega = (0.02, -0.03, 0.01), t = (0.3, -0.1, 0.6), p = (451, 63), z = 12.5: p_s = (442.221, 56.135), z_s = \
-         13.2024. With z_hat 10 % too high the printed vector is (402.019, 51.031, 0.909).",
+        "K of kitti640, omega = (0.02, -0.03, 0.01), t = (0.3, -0.1, 0.6), p = (451, 63), z = 12.5: p_s = (442.221, 56.135), \
+         z_s = 13.2024. With z_hat 10 % too high the printed vector is (402.019, 51.031, 0.909).",
     ),
     correction: Some("Divide by the third component of the vector, and mask pixels where it is not positive."),
     functions: &["flow::rigid::rigid_flow", "flow::rigid::printed_correspondence"],

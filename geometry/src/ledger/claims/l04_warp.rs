@@ -17,12 +17,12 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Exact,
     condition: Some("p + f(p) lies in [0, W - 1] x [0, H - 1]; other pixels are masked, not clamped in silence"),
     formula: "I'_t(p) = I_s(p + f(p)), bilinear between the four pixels around",
-    derivation: "A definition. Bilinear reading meets the pixels themselves, so no flow changes nothing and a flow of whole pixels is a \
-                 shift; it is linear in the image, and its slope is the difference of the neighbours.",
+    derivation: "A definition. Bilinear reading meets the pixels themselves, so no flow changes nothing and a flow of whole \
+                 pixels is a shift; it is linear in the image, and its slope is the difference of the neighbours.",
     counter_example: None,
     correction: None,
-    functions: &["warp::Image::read", "warp::Image::slope", "warp::Image::warped", "taped::warp", "taped::masks::in_view"],
-    taped: &["taped::warp"],
+    functions: &["warp::Image::read", "warp::Image::slope", "warp::Image::warped"],
+    taped: &["taped::warp", "taped::masks::in_view"],
     missing_way: None,
     check,
 };

@@ -1,9 +1,11 @@
 //! L06: split of a motion into rotation, tangential and radial translation.
 
+use dimode_autodiff::Tape;
 use nalgebra::{Matrix4, Vector3};
 
-use crate::ledger::{Case, Claim, Findings, Trial, Verdict};
+use crate::ledger::{Case, Claim, Findings, Trial, Verdict, taped};
 use crate::motion::{MotionParts, radial_part, tangential_part, translation_gap, translation_gap_first_order};
+use crate::taped::{so3_exp, translation_in_target_frame};
 use crate::{Se3, so3};
 
 pub(super) static CLAIM: Claim = Claim {
@@ -14,9 +16,9 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Exact,
     condition: None,
     formula: "[R t] = [I rad(t)] [I tan(t)] [R 0] = [R 0] [I rad(t')] [I tan(t')],  t' = R^T t",
-    derivation: "Multiply out: translations add, and rad(t) + tan(t) = t. T_rad and T_tan commute, T_rot commutes with neither: behind \
-                 the rotation the translation is R^T t. So the split is not unique; the parts of both splits differ by delta = \
-                 t' - t = (R^T - I) t, to first order -(omega x t), and the remainder is at most |omega|^2 |t| / 2.",
+    derivation: "Multiply out: translations add, and rad(t) + tan(t) = t. T_rad and T_tan commute, T_rot commutes with neither: \
+                 behind the rotation the translation is R^T t. So the split is not unique; the parts of both splits differ by \
+                 delta = t' - t = (R^T - I) t, to first order -(omega x t), and the remainder is at most |omega|^2 |t| / 2.",
     counter_example: None,
     correction: None,
     functions: &[
@@ -25,7 +27,7 @@ pub(super) static CLAIM: Claim = Claim {
         "motion::translation_gap",
         "motion::translation_gap_first_order",
     ],
-    taped: &[],
+    taped: &["taped::translation_in_target_frame", "taped::so3_exp"],
     missing_way: None,
     check,
 };
@@ -89,6 +91,11 @@ fn second_split(case: &Case, source: &MotionParts, target: &MotionParts, f: &mut
     // Lengths up to 0.3 z: the second term is their rounding.
     let bound = 0.5 * omega.norm_squared() * t.norm() + 1e-15 * case.depth;
     f.bound("|delta + omega x t| / (|omega|^2 |t| / 2 + rounding)", remainder / bound, 1.0);
+    let tape = Tape::new();
+    let rotation = so3_exp(tape.constant(taped::column(omega.as_slice())));
+    let in_target = translation_in_target_frame(rotation, tape.constant(taped::column(t.as_slice()))).value();
+    let taped_gap = Vector3::from_fn(|k, _| in_target.at(0, k, 0, 0)) - t;
+    f.residual("delta - delta on the tape, relative to z", (delta - taped_gap).norm() / case.depth, 1e-14);
 }
 
 #[cfg(test)]

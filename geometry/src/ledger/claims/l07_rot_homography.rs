@@ -14,8 +14,8 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Exact,
     condition: Some("h_3 . p~ > 0"),
     formula: "p~_s = (z_t / z_s) H p~_t,  z_s = z_t h_3 . p~_t,  p_s = (h_1 . p~ / h_3 . p~, h_2 . p~ / h_3 . p~)",
-    derivation: "z_s p~_s = K R (z_t K^-1 p~_t) = z_t H p~_t. The third row of p~_s is 1, so z_s / z_t = h_3 . p~_t, and the depth \
-                 cancels in the quotients.",
+    derivation: "z_s p~_s = K R (z_t K^-1 p~_t) = z_t H p~_t. The third row of p~_s is 1, so z_s / z_t = h_3 . p~_t, and the \
+                 depth cancels in the quotients.",
     counter_example: None,
     correction: None,
     functions: &["homography::rotation_homography", "homography::transfer"],
@@ -28,7 +28,7 @@ fn check(trial: &mut Trial) {
     trial.cases(at);
     let h = rotation_homography(&scenes::kitti640(), &so3::exp(&Vector3::new(0.03, -0.05, 0.02)));
     for (k, expected) in [0.000135420916922, 7.99727699733e-05, 0.947288458933].into_iter().enumerate() {
-        trial.findings.equal("third row of H, documented, relative", h[(2, k)], expected, expected, 1e-11);
+        trial.findings.documented("third row of H, documented", h[(2, k)], expected, 1e-11);
     }
     let ratio = transfer(&h, &Vector2::new(451.0, 63.0)).map_or(f64::NAN, |(_, ratio)| ratio);
     trial.findings.documented("z_s / z_t at (451, 63), documented", ratio, 1.01340157697, 1e-11);

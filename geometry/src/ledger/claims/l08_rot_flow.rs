@@ -11,12 +11,13 @@ pub(super) static CLAIM: Claim = Claim {
     id: "L08",
     slug: "rot-flow",
     place: "eq. rotational_flow",
-    statement: "f_k = [p~^T (-h_3 i_k^T) p~ + h_k . p~] / (h_3 . p~), k = 1, 2: a quadratic over a linear polynomial of the pixel.",
+    statement: "f_k = [p~^T (-h_3 i_k^T) p~ + h_k . p~] / (h_3 . p~), k = 1, 2: a quadratic over a linear polynomial of the \
+         pixel.",
     verdict: Verdict::Exact,
     condition: Some("h_3 . p~ > 0"),
     formula: "f_k = h_k . p~ / h_3 . p~ - p_k",
-    derivation: "p~^T (-h_3 i_k^T) p~ = -(h_3 . p~) (i_k . p~) = -(h_3 . p~) p_k. Divide by h_3 . p~: what remains is the pixel of the \
-                 homography minus the pixel.",
+    derivation: "p~^T (-h_3 i_k^T) p~ = -(h_3 . p~) (i_k . p~) = -(h_3 . p~) p_k. Divide by h_3 . p~: what remains is the pixel \
+                 of the homography minus the pixel.",
     counter_example: None,
     correction: None,
     functions: &["flow::rotational::rotational_flow", "flow::rotational::quadratic_terms"],

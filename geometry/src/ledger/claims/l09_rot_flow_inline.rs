@@ -17,8 +17,8 @@ pub(super) static CLAIM: Claim = Claim {
     formula: "p~^T (-h_3 i_k^T) p~ = -(h_3 . p~) p_k",
     derivation: "(h_3 . p~) = h_31 u + h_32 v + h_33, and i_1 . p~ = u, i_2 . p~ = v; the leading minus of the matrix stays.",
     counter_example: Some(
-        "K of kitti640, omega = (0.03, -0.05, 0.02), p = (451, 63): the terms are (-457.044, -63.844), printed (457.044, 63.844); \
-         with the printed signs the flow would be (882.567, 117.839) px instead of (-19.433, -8.161) px.",
+        "K of kitti640, omega = (0.03, -0.05, 0.02), p = (451, 63): the terms are (-457.044, -63.844), printed (457.044, \
+         63.844); with the printed signs the flow would be (882.567, 117.839) px instead of (-19.433, -8.161) px.",
     ),
     correction: Some("Both expansions need a minus in front."),
     functions: &["flow::rotational::quadratic_terms", "flow::rotational::printed_quadratic_terms"],

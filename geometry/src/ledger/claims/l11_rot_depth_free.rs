@@ -15,8 +15,8 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Exact,
     condition: Some("t = 0"),
     formula: "df/dz = 0",
-    derivation: "f = pi(H p~) - p with H = K R K^-1, and H holds no depth. In df/dz = -(h_3 . p~) [f o t - (p_R - p0) t_z] / (z_R + t_z)^2 \
-                 the bracket vanishes with t.",
+    derivation: "f = pi(H p~) - p with H = K R K^-1, and H holds no depth. In df/dz = -(h_3 . p~) [f o t - (p_R - p0) t_z] / \
+                 (z_R + t_z)^2 the bracket vanishes with t.",
     counter_example: None,
     correction: None,
     functions: &["flow::rotational::rotational_flow", "flow::gradients::rigid_gradients"],
@@ -56,7 +56,7 @@ fn at(case: &Case, f: &mut Findings) {
     // A translation of 1 % of the depth: now depth does count, and every way notices it.
     let moved = Se3 { translation: Vector3::new(0.01 * z, 0.0, 0.0), ..*motion };
     let gradient = rigid_gradients(camera, &moved, &p, z).map_or(f64::NAN, |g| g.z.norm());
-    f.floor("with 1 % of translation: |df/dz| by f / z", gradient * z / camera.fu, 0.001);
+    f.floor("with 1 % of translation: |df/dz| z / f_u", gradient * z / camera.fu, 0.001);
 }
 
 #[cfg(test)]

@@ -15,10 +15,11 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::FirstOrder,
     condition: Some("small angles: the error is at most 2 max(f) (1 + x^2 + y^2)^(3/2) |omega|^2 for |x|, |y| <= 1.2"),
     formula: "f_u (w_y (1 + x^2) - w_x x y - w_z y),  f_v (-w_x (1 + y^2) + w_y x y + w_z x)",
-    derivation: "R b = b + omega x b + ..., and the derivative of (X / Z, Y / Z) at b = (x, y, 1) takes (a, b, c) to (a - x c, b - y c). \
-                 The remainder is of second order: rotations do not add up, they are multiplied.",
+    derivation: "R b = b + omega x b + ..., and the derivative of (X / Z, Y / Z) at b = (x, y, 1) takes (a, b, c) to (a - x c, \
+                 b - y c). The remainder is of second order: rotations do not add up, they are multiplied.",
     counter_example: Some(
-        "Road grid, axis (0.6, -0.64, 0.48): the largest error is 0.0004 px at 0.001 rad, 0.040 px at 0.01 rad, 4.47 px at 0.1 rad.",
+        "Road grid, axis (0.6, -0.64, 0.48): the largest error is 0.0004 px at 0.001 rad, 0.040 px at 0.01 rad, 4.47 px at 0.1 \
+         rad.",
     ),
     correction: Some("Beyond about 0.01 rad use the full rotational flow."),
     functions: &["flow::rotational::rotational_flow_first_order", "flow::rotational::rotational_flow"],
@@ -32,7 +33,7 @@ fn check(trial: &mut Trial) {
     let axis = Vector3::new(0.6, -0.64, 0.48);
     for (angle, expected) in [(0.001, 0.00039734761262305216), (0.01, 0.040143258933845884), (0.1, 4.465561589410346)] {
         let error = largest_error(&(axis * angle));
-        trial.findings.equal("largest error on the road grid, documented, relative", error, expected, expected, 1e-8);
+        trial.findings.documented("largest error on the road grid, documented", error, expected, 1e-8);
     }
     trial.findings.gap("largest error on the road grid at 0.1 rad, px", largest_error(&(axis * 0.1)), 4.0);
 }

@@ -15,12 +15,12 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Exact,
     condition: Some("R = I, t_z = 0"),
     formula: "f = (f o t) / z_t,  z_s = z_t",
-    derivation: "K (P + t) = z p~ + (f_u t_x, f_v t_y, 0): the third row stays z, so division by it gives p + (f o t) / z. The direction \
-                 is that of f o t, which is that of t only where f_u = f_v.",
+    derivation: "K (P + t) = z p~ + (f_u t_x, f_v t_y, 0): the third row stays z, so division by it gives p + (f o t) / z. The \
+                 direction is that of f o t, which is that of t only where f_u = f_v.",
     counter_example: None,
     correction: None,
     functions: &["flow::tangential::tangential_flow", "flow::tangential::focal_scaled"],
-    taped: &["taped::rigid_flow"],
+    taped: &["taped::rigid_flow", "taped::so3_exp"],
     missing_way: None,
     check,
 };

@@ -14,12 +14,12 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::FirstOrder,
     condition: Some("to the source depth exactly; to the target depth only for |t_z| << z_t"),
     formula: "s = z_t / (z_t + t_z),  s - 1 = -t_z / z_s = -t_z / z_t + t_z^2 / [z_t (z_t + t_z)]",
-    derivation: "Two points of one depth are seen at a distance proportional to 1 / z, so their distance changes by z_t / z_s. Subtract 1: \
-                 (z_t - z_s) / z_s = -t_z / z_s.",
+    derivation: "Two points of one depth are seen at a distance proportional to 1 / z, so their distance changes by z_t / z_s. \
+                 Subtract 1: (z_t - z_s) / z_s = -t_z / z_s.",
     counter_example: Some("z = 5, t_z = -0.8: the scale changes by 0.190476, -t_z / z_t is 0.16, 16 % too low."),
     correction: Some("Inversely proportional to the source depth z_t + t_z."),
     functions: &["flow::radial::scale_change", "flow::radial::scale_change_first_order", "flow::radial::scale_change_slope"],
-    taped: &["taped::rigid_flow"],
+    taped: &["taped::rigid_flow", "taped::so3_exp"],
     missing_way: None,
     check,
 };

@@ -18,10 +18,11 @@ pub(super) static CLAIM: Claim = Claim {
     statement: "f = [f o t - d t_z] / (z_t + t_z).",
     verdict: Verdict::Exact,
     condition: Some("R = I; with a rotation p_R and z_R take the place of p_t and z_t, and p_R - p_t is added"),
-    formula: "f = [f o t - d t_z] / (z_t + t_z) = z_t / (z_t + t_z) f_tan + f_rad = -t_z / (z_t + t_z) (p_t - e),  e = p0 + f o t_tan / t_z",
-    derivation: "p_s - p0 = [z d + f o t] / (z + t_z); subtract d. Not the sum of the flows of the parts: the tangential flow is seen \
-                 from the source depth, so it comes with the factor z_t / (z_t + t_z). At the focus e the bracket vanishes; for t_z = 0 \
-                 there is no focus.",
+    formula: "f = [f o t - d t_z] / (z_t + t_z) = z_t / (z_t + t_z) f_tan + f_rad = -t_z / (z_t + t_z) (p_t - e),  e = p0 + f o \
+         t_tan / t_z",
+    derivation: "p_s - p0 = [z d + f o t] / (z + t_z); subtract d. Not the sum of the flows of the parts: the tangential flow \
+                 is seen from the source depth, so it comes with the factor z_t / (z_t + t_z). At the focus e the bracket \
+                 vanishes; for t_z = 0 there is no focus.",
     counter_example: None,
     correction: None,
     functions: &[

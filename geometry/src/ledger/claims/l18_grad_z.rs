@@ -15,7 +15,8 @@ pub(super) static CLAIM: Claim = Claim {
     statement: "df/dz = -[f o t - d t_z] / (z + t_z)^2.",
     verdict: Verdict::Exact,
     condition: Some("R = I; with a rotation the same at the rotated pixel and depth, times h_3 . p~"),
-    formula: "df/dz = -[f o t - d t_z] / (z + t_z)^2; with rotation -h [f o t - (p_R - p0) t_z] / (z_R + t_z)^2, h = h_3 . p~, z_R = h z",
+    formula: "df/dz = -[f o t - d t_z] / (z + t_z)^2; with rotation -h [f o t - (p_R - p0) t_z] / (z_R + t_z)^2, h = h_3 . p~, \
+         z_R = h z",
     derivation: "f = [f o t - d t_z] / (z + t_z): the numerator is free of z, so the derivative is minus the flow over z + t_z. \
          With rotation f = (p_R - p) + [f o t - (p_R - p0) t_z] / (z_R + t_z); p_R is free of z, and dz_R/dz = h_3 . p~.",
     counter_example: None,

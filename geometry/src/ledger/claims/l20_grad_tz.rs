@@ -14,7 +14,8 @@ pub(super) static CLAIM: Claim = Claim {
     statement: "df/dt_z = -[d z + f o t] / (z + t_z)^2.",
     verdict: Verdict::Exact,
     condition: Some("R = I; with a rotation the same with the rotated pixel and depth"),
-    formula: "df/dt_z = -[d z + f o t] / (z + t_z)^2,  d = p - p0, f o t = (f_u t_x, f_v t_y); with rotation d = p_R - p0 and z_R for z",
+    formula: "df/dt_z = -[d z + f o t] / (z + t_z)^2,  d = p - p0, f o t = (f_u t_x, f_v t_y); with rotation d = p_R - p0 and \
+         z_R for z",
     derivation: "Quotient rule on f = [f o t - d t_z] / (z + t_z): [-d (z + t_z) - f o t + d t_z] / (z + t_z)^2.",
     counter_example: None,
     correction: None,

@@ -30,7 +30,7 @@ pub(super) static CLAIM: Claim = Claim {
         "flow::gradients::depth_gradient_at_principal_point",
         "flow::translational::focus_of_expansion",
     ],
-    taped: &["taped::rigid_flow"],
+    taped: &["taped::rigid_flow", "taped::so3_exp"],
     missing_way: None,
     check,
 };
@@ -107,7 +107,12 @@ mod tests {
         }
 
         #[test]
-        fn the_gradient_grows_with_the_distance_from_the_focus(case in case(), r in 0.0f64..400.0, s in 0.1f64..1.0, turn in 0.0f64..6.3) {
+        fn the_gradient_grows_with_the_distance_from_the_focus(
+            case in case(),
+            r in 0.0f64..400.0,
+            s in 0.1f64..1.0,
+            turn in 0.0f64..6.3,
+        ) {
             let (camera, t, z) = (&case.camera, case.motion.translation, case.depth);
             prop_assume!(t.z.abs() > 1e-3 * z);
             let focus = focus_of_expansion(camera, &t).unwrap();

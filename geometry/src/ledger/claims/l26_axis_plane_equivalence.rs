@@ -10,14 +10,14 @@ pub(super) static CLAIM: Claim = Claim {
     id: "L26",
     slug: "axis-plane-equivalence",
     place: "introduction of the section on the constraints",
-    statement: "After removing rotation and tangential translation both cameras share the optical axis; after removing rotation and \
-         radial translation they share the imaging plane.",
+    statement: "After removing rotation and tangential translation both cameras share the optical axis; after removing rotation \
+         and radial translation they share the imaging plane.",
     verdict: Verdict::Exact,
     condition: None,
     formula: "left: T_rad = [I (0, 0, t_z)] or T_tan = [I (t_x, t_y, 0)]",
-    derivation: "L23 leaves T_rad or T_tan. Under T_rad the axes are parallel and the source centre (0, 0, -t_z) lies on the target's \
-         axis; under T_tan the planes are parallel and the source centre (-t_x, -t_y, 0) lies in the target's plane z = 0, so all \
-         depths are equal in both.",
+    derivation: "L23 leaves T_rad or T_tan. Under T_rad the axes are parallel and the source centre (0, 0, -t_z) lies on the \
+         target's axis; under T_tan the planes are parallel and the source centre (-t_x, -t_y, 0) lies in the target's plane z \
+         = 0, so all depths are equal in both.",
     counter_example: None,
     correction: None,
     functions: &["motion::remaining_radial", "motion::remaining_tangential"],

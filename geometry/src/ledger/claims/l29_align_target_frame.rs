@@ -15,12 +15,12 @@ pub(super) static CLAIM: Claim = Claim {
     verdict: Verdict::Exact,
     condition: Some("P_s = R (P_t + t'): if a network's numbers are taken as t', eq. p_s reads R (z K^-1 p~ + t')"),
     formula: "f_pla = f o t'_tan / z,  f_axi = -t'_z / (z + t'_z) d,  T = T_rot T_rad T_tan",
-    derivation: "R^-1 P_s = P_t + t'. Subtracting rad(t') leaves P_t + tan(t') at depth z, subtracting tan(t') leaves P_t + rad(t') at depth \
-         z + t'_z: the flows of L14 and L15. Target pixel, target depth and principal point stay as printed.",
+    derivation: "R^-1 P_s = P_t + t'. Subtracting rad(t') leaves P_t + tan(t') at depth z, subtracting tan(t') leaves P_t + \
+         rad(t') at depth z + t'_z: the flows of L14 and L15. Target pixel, target depth and principal point stay as printed.",
     counter_example: None,
     correction: None,
-    functions: &["alignment::Convention::translation", "alignment::planar", "alignment::axial", "taped::align"],
-    taped: &["taped::align"],
+    functions: &["alignment::Convention::translation", "alignment::planar", "alignment::axial"],
+    taped: &["taped::rigid_flow", "taped::so3_exp", "taped::translation_in_target_frame", "taped::align"],
     missing_way: None,
     check,
 };

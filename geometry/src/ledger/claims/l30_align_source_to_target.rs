@@ -3,10 +3,13 @@
 use dimode_autodiff::Tape;
 use nalgebra::{Matrix3, Vector2};
 
+use super::l24_residual_rows::estimate;
 use crate::alignment::corrections::source_to_target;
-use crate::alignment::{Convention, axial, planar};
+use crate::alignment::{Aligned, Convention, Match, axial, planar};
+use crate::deviation::residual_rows;
 use crate::flow::rigid::rigid_flow;
 use crate::ledger::{Case, Claim, Findings, Trial, Verdict};
+use crate::motion::{MotionParts, radial_part, tangential_part};
 use crate::ratios::{inverse_radial_ratio, inverse_tangential_ratios};
 use crate::se3::Se3;
 use crate::taped::Pose;
@@ -16,19 +19,19 @@ pub(super) static CLAIM: Claim = Claim {
     id: "L30",
     slug: "align-source-to-target",
     place: "correction E of eq. pplanar",
-    statement: "With P_t = A P_s + a the alignment is Q_pla = A P_s + rad(a), Q_axi = A P_s + tan(a), and eqs. transformation and \
-         residual_rot hold as printed.",
+    statement: "With P_t = A P_s + a the alignment is Q_pla = A P_s + rad(a), Q_axi = A P_s + tan(a), and eqs. transformation \
+         and residual_rot hold as printed.",
     verdict: Verdict::Exact,
     condition: Some(
         "eq. p_s takes the inverse (A^T, -A^T a), the flows of the single motions take t = -a, and the ratios change sign",
     ),
     formula: "A = R^T, a = -t';  rho_x = z / a_x = -f_u / f_x,  rho_z = z / a_z = +d . (f + d) / (d . f)",
-    derivation: "A P_s = P_t - a, so adding rad(a) leaves P_t - tan(a), adding tan(a) leaves P_t - rad(a). With a = -t' these are the \
-         points of correction B. Pose networks that output the motion from source to target deliver A and a directly.",
+    derivation: "A P_s = P_t - a, so adding rad(a) leaves P_t - tan(a), adding tan(a) leaves P_t - rad(a). With a = -t' these \
+         are the points of correction B. Pose networks that output the motion from source to target deliver A and a directly.",
     counter_example: None,
     correction: None,
-    functions: &["alignment::corrections::source_to_target", "se3::Se3::inverse"],
-    taped: &[],
+    functions: &["alignment::corrections::source_to_target", "se3::Se3::inverse", "deviation::residual_rows"],
+    taped: &["taped::pose::inverse"],
     missing_way: None,
     check,
 };
@@ -67,6 +70,7 @@ fn at(case: &Case, f: &mut Findings) {
         1e-12,
     );
     inverses(case, &back, f);
+    as_printed(case, &back, &exact, f);
     let recovered = inverse_tangential_ratios(camera, &e.planar.flow) * case.depth;
     let size = case.depth * 0.01 + back.translation.norm();
     f.residual("z f_pla / f + tan(a), relative", (recovered + back.translation.xy()).norm() / size, 1e-10);
@@ -76,6 +80,29 @@ fn at(case: &Case, f: &mut Findings) {
         let radial = inverse_radial_ratio(&e.axial.flow, &d) * case.depth;
         f.residual("z (d . f) / (d . (f + d)) - a_z, relative", (radial + back.translation.z) / size, 1e-9);
     }
+}
+
+/// Eqs. `transformation` and `residual_rot` with `(A, a)` for `T`: what estimates leave beside the part that was meant to stay.
+fn as_printed(case: &Case, back: &Se3, exact: &Match, f: &mut Findings) {
+    let parts = MotionParts::in_source_frame(back);
+    let product = parts.radial * parts.tangential * parts.rotation;
+    let gap = (product.rotation - back.rotation).amax() + (product.translation - back.translation).norm();
+    f.residual("eq. transformation: T_rad T_tan T_rot - (A, a), by 1 + |a|", gap / (1.0 + back.translation.norm()), 1e-13);
+    let guess = estimate(&Case { motion: *back, ..*case });
+    // Estimates can bring an aligned point behind the camera, where it has no pixel.
+    let Some(e) = source_to_target(&case.camera, &guess, exact) else {
+        return;
+    };
+    let (rows, target) = (residual_rows(back, &guess), case.point());
+    let seen = |aligned: &Aligned| {
+        let p = case.pixel + aligned.flow;
+        case.camera.ray(p.x, p.y) * aligned.depth
+    };
+    let scale = 1.0 + target.norm();
+    let planar = rows.tangential.transform(&seen(&e.planar)) + tangential_part(&back.translation) - target;
+    let axial = rows.radial.transform(&seen(&e.axial)) + radial_part(&back.translation) - target;
+    f.residual("eq. residual_rot: T_tan dT_tan Q_pla of estimates - P_t, relative", planar.norm() / scale, 1e-12);
+    f.residual("eq. residual_rot: T_rad dT_rad Q_axi of estimates - P_t, relative", axial.norm() / scale, 1e-12);
 }
 
 fn inverses(case: &Case, back: &Se3, f: &mut Findings) {

@@ -6,10 +6,11 @@ use super::l24_residual_rows::estimate;
 use crate::alignment::corrections::{moved_target, rotated_target};
 use crate::deviation::{residual_rows, rotated_target_residual};
 use crate::flow::tangential::focal_scaled;
-use crate::ledger::{Case, Claim, Findings, Trial, Verdict};
+use crate::ledger::{Case, Claim, Findings, Trial, Verdict, forward};
 use crate::loss_forms::{axial, planar, radial, tangential};
 use crate::motion::{radial_part, tangential_part};
 use crate::scenes::{self, Reference};
+use crate::so3;
 
 pub(super) static CLAIM: Claim = Claim {
     id: "L31",
@@ -21,9 +22,9 @@ pub(super) static CLAIM: Claim = Claim {
     condition: Some("p_R, z_R (C) or q = pi(R P_t + tan(t)) and its depth (C') stand for p_t and z_t in the losses"),
     formula: "C: f_pla = f o t_tan / z_R, f_axi = -t_z / (z_R + t_z) (p_R - p0);  C': f_pla = f o t_tan / (z_R + t_z), \
          f_axi = -t_z / (z_R + t_z) (q - p0)",
-    derivation: "P_s = R P_t + t. C: P_s - rad(t) = R P_t + tan(t) and P_s - tan(t) = R P_t + rad(t), the flows of L14 and L15 from the point \
-         R P_t. C': R P_t + rad(t) and R P_t + tan(t) lack one part of P_s each. With errors C leaves [dR^-1, -dt_rad] beside T_tan, \
-         without a cross term; C' leaves eq. residual_rot.",
+    derivation: "P_s = R P_t + t. C: P_s - rad(t) = R P_t + tan(t) and P_s - tan(t) = R P_t + rad(t), the flows of L14 and L15 \
+         from the point R P_t. C': R P_t + rad(t) and R P_t + tan(t) lack one part of P_s each. With errors C leaves [dR^-1, \
+         -dt_rad] beside T_tan, without a cross term; C' leaves eq. residual_rot.",
     counter_example: None,
     correction: None,
     functions: &[
@@ -32,7 +33,9 @@ pub(super) static CLAIM: Claim = Claim {
         "deviation::rotated_target_residual",
     ],
     taped: &[],
-    missing_way: None,
+    missing_way: Some(
+        "The claim states no derivative, and training aligns by correction B: C and C' have no operation on the tape.",
+    ),
     check,
 };
 
@@ -61,7 +64,22 @@ fn at(case: &Case, f: &mut Findings) {
     f.residual("C': f_pla (z_R + t_z) - f o t_tan, px m", (moved.planar.flow * moved.planar.depth - flows).norm(), 1e-9);
     let radial = (moved.axial.pixel - p0) * t.z;
     f.residual("C': f_axi (z_R + t_z) + t_z (q - p0), px m", (moved.axial.flow * source_depth + radial).norm(), 1e-9);
+    second_implementation(case, [c.planar.flow, c.axial.flow, moved.planar.flow, moved.axial.flow], f);
     deviations(case, f);
+}
+
+/// The four flows once more, from points turned by the power series.
+fn second_implementation(case: &Case, flows: [Vector2<f64>; 4], f: &mut Findings) {
+    let (w, t) = (so3::log(&case.motion.rotation).into(), case.motion.translation);
+    let turned = forward::rotated::<f64>(w, case.point().into());
+    let source = forward::sum(turned, t.into());
+    let parts = [radial_part(&t).into(), tangential_part(&t).into()];
+    let seen = |x| Vector2::from(forward::projected::<f64>(&case.camera, x));
+    let [c_planar, c_axial] = parts.map(|part| seen(forward::difference(source, part)) - seen(turned));
+    let [moved_planar, moved_axial] = parts.map(|part| seen(source) - seen(forward::sum(turned, part)));
+    for (flow, second) in flows.into_iter().zip([c_planar, c_axial, moved_planar, moved_axial]) {
+        f.residual("flows of C and C' - second implementation, px", (flow - second).norm(), 1e-9);
+    }
 }
 
 /// What estimates leave: the source point from the point that the target was taken to.

@@ -14,8 +14,8 @@ pub(super) static CLAIM: Claim = Claim {
     id: "L33",
     slug: "align-kitti",
     place: "derived: size of L28 on KITTI odometry",
-    statement: "On the ground truth of KITTI odometry 00-10 the printed alignment of perfect inputs costs L_axi of 0.00884 rad in the \
-         median and 0.103 rad at 99 %.",
+    statement: "On the ground truth of KITTI odometry 00-10 the printed alignment of perfect inputs costs L_axi of 0.00884 rad \
+         in the median and 0.103 rad at 99 %.",
     verdict: Verdict::Measured,
     condition: Some(
         "both neighbours, |t| > 0.1 m: 45808 pairs; closed form on the road grid; small t_x carry ground-truth noise",
@@ -24,9 +24,9 @@ pub(super) static CLAIM: Claim = Claim {
     derivation: "Measured on KITTI odometry 00-10 (50/90/99 %, max): rotation per frame 0.292/1.83/3.57/4.78 deg; L_axi \
          0.00884/0.0528/0.103/0.139 rad; circular L_pla 1.06e-6/3.79e-5/3.66e-4/6.00e-2. Frames turning more than 1 deg (8616): \
          L_axi 0.0556/0.0942/0.117, |delta_x| 0.0216/0.0358/0.0468 m, |t'_x| 0.029/0.0661/0.123 m, |delta_x / t'_x| \
-         0.684/3.66/32, and t_x, t'_x of opposite signs in 0.163 of them. L_axi exceeds 1 deg in 0.288 and 2 deg in 0.162 of all pairs. \
-         The poses are not part of this crate: checked is that the closed form equals the full evaluation on motions of that range, and \
-         that the statistics of trajectories with known answers come out right.",
+         0.684/3.66/32, and t_x, t'_x of opposite signs in 0.163 of them. L_axi exceeds 1 deg in 0.288 and 2 deg in 0.162 of \
+         all pairs. The poses are not part of this crate: checked is that the closed form equals the full evaluation on motions \
+         of that range, and that the statistics of trajectories with known answers come out right.",
     counter_example: None,
     correction: None,
     functions: &[
@@ -50,8 +50,8 @@ fn check(trial: &mut Trial) {
     straight(&mut trial.findings);
 }
 
-/// A motion as between neighbouring frames of a drive: up to 4.8 deg, mostly yaw, up to 2 m, mostly along the axis; the part aside of it is that
-/// of 80 % of KITTI's pairs.
+/// A motion as between neighbouring frames of a drive: up to 4.8 deg, mostly yaw, up to 2 m, mostly along the axis; the part
+/// aside of it is that of 80 % of KITTI's pairs.
 fn driving(draw: &mut Draw) -> Se3 {
     let axis = Vector3::new(draw.uniform(-0.2, 0.2), 1.0, draw.uniform(-0.2, 0.2)).normalize();
     let rotation = so3::exp(&(axis * draw.uniform(-4.8, 4.8).to_radians()));

@@ -16,13 +16,14 @@ pub(super) static CLAIM: Claim = Claim {
     statement: "df/deps = J [Q0]_x, df/dt'_hat = -J on the removed components and 0 on the others, df/dz_s = J R_hat^T b(p_s).",
     verdict: Verdict::Exact,
     condition: Some("Q_z > 0; rotations move as R_hat exp([eps]_x)"),
-    formula: "Q0 = R_hat^T p_s^C, Q = Q0 - part(t'_hat), J = [[f_u / Q_z, 0, -f_u Q_x / Q_z^2], [0, f_v / Q_z, -f_v Q_y / Q_z^2]]",
-    derivation: "J is the derivative of the projection. (R_hat exp([eps]_x))^T p = exp(-[eps]_x) Q0 = Q0 + Q0 x eps: derivative [Q0]_x. \
-         part(t'_hat) enters with a minus, and Q0 is linear in the source depth.",
+    formula: "Q0 = R_hat^T p_s^C, Q = Q0 - part(t'_hat), J = [[f_u / Q_z, 0, -f_u Q_x / Q_z^2], [0, f_v / Q_z, -f_v Q_y / \
+         Q_z^2]]",
+    derivation: "J is the derivative of the projection. (R_hat exp([eps]_x))^T p = exp(-[eps]_x) Q0 = Q0 + Q0 x eps: derivative \
+         [Q0]_x. part(t'_hat) enters with a minus, and Q0 is linear in the source depth.",
     counter_example: None,
     correction: None,
-    functions: &["alignment::planar_jacobian", "alignment::axial_jacobian", "taped::align"],
-    taped: &["taped::align"],
+    functions: &["alignment::planar_jacobian", "alignment::axial_jacobian"],
+    taped: &["taped::so3_exp", "taped::align"],
     missing_way: None,
     check,
 };
