@@ -146,9 +146,9 @@ impl Findings {
         self.add(Kind::Documented, what, ((a - b) / precision).abs(), 1.0);
     }
 
-    /// An inequality of the statement: `|value| <= at_most` in every sample, by right and not by rounding.
+    /// An inequality of the statement: `value <= at_most` in every sample, by right and not by rounding. The sign counts.
     pub fn bound(&mut self, what: &str, value: f64, at_most: f64) {
-        self.add(Kind::Bound, what, value.abs(), at_most);
+        self.add(Kind::Bound, what, value, at_most);
     }
 
     /// `value >= at_least` in every sample.
