@@ -167,7 +167,7 @@ mod tests {
         assert!(text.lines().all(|line| line.chars().count() <= 140), "{text}");
         let text = derivatives(&found);
         assert!(text.contains("df/dt_z") && text.contains("<= 1e-6"), "{text}");
-        assert_eq!(derivatives(&verification(&["L15"])), "");
+        assert_eq!(derivatives(&verification(&["L09"])), "");
     }
 
     #[test]
