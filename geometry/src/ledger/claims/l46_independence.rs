@@ -67,7 +67,7 @@ fn check(trial: &mut Trial) {
     trial.findings.gap(
         "pixel form of L_pla: share of t'_x, t'_y in the gradient",
         pixel_form[3].hypot(pixel_form[4]) / size,
-        0.1,
+        0.86,
     );
 }
 
@@ -224,8 +224,11 @@ fn derivatives(e: &Estimate, f: &mut Findings) {
     let axi = closed(e, alignment::axial, alignment::axial_jacobian, |flows| axial::gradients::smooth(flows, &offsets));
     let (Some(pla), Some(axi)) = (pla, axi) else { return f.residual("scene in front of the camera", f64::NAN, 1.0) };
     let dual = forward::jacobian([0.0; 6], |x: [Dual; 6]| forward_losses(e, x));
-    let steps = std::array::from_fn(|k| 1.5e-4 * shortest * if k < 3 { 1.0 } else { e.a.norm() });
-    let central = forward::central([0.0; 6], steps, |x: [f64; 6]| forward_losses(e, x));
+    // Steps that turn the shortest flow by some 2e-4 rad: longer ones leave more over, shorter ones drown in rounding. A point
+    // moves by its depth times an angle.
+    let nearest = e.matches.iter().map(|m| m.source_depth).fold(f64::INFINITY, f64::min);
+    let steps = std::array::from_fn(|k| 2e-4 * shortest * if k < 3 { 1.0 } else { nearest });
+    let central = forward::central_extrapolated([0.0; 6], steps, |x: [f64; 6]| forward_losses(e, x));
     let by_tape = [
         taped_gradient(e, Convention::AsPrinted, |pair| planar_form(pair, PlanarForm::Circular)).0,
         taped_gradient(e, Convention::AsPrinted, axial_smooth).0,

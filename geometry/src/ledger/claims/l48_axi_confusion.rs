@@ -43,7 +43,7 @@ fn check(trial: &mut Trial) {
         f.bound(
             "wall, 1e-6 rad: loss of a rotation with the translation it looks like, over that of the rotation alone",
             cancelled(&wall, k, 1e-6),
-            1e-3,
+            1e-6,
         );
     }
     f.gap(
