@@ -23,3 +23,22 @@ pub fn holds(compare: impl FnOnce(&mut Findings)) -> Result<(), TestCaseError> {
     let violations = findings.violations();
     if violations.is_empty() { Ok(()) } else { Err(TestCaseError::fail(violations.join("; "))) }
 }
+
+/// The two tests that most claims have, for their comparison of one [`Case`]: everywhere, and at the limits.
+macro_rules! tests_on_cases {
+    ($at:path) => {
+        proptest::proptest! {
+            #[test]
+            fn holds_everywhere(case in $crate::ledger::testing::case()) {
+                $crate::ledger::testing::holds(|f| $at(&case, f))?;
+            }
+
+            #[test]
+            fn holds_at_the_limits(case in $crate::ledger::testing::limit()) {
+                $crate::ledger::testing::holds(|f| $at(&case, f))?;
+            }
+        }
+    };
+}
+
+pub(crate) use tests_on_cases;

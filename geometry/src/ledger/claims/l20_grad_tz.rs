@@ -2,8 +2,8 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::flow_gradients::{self, Input};
 use crate::flow::gradients::translational_gradients;
+use crate::ledger::flow_derivatives::{self, Input};
 use crate::ledger::{Case, Claim, Findings, Trial, Verdict};
 use crate::scenes;
 
@@ -35,25 +35,10 @@ fn check(trial: &mut Trial) {
 }
 
 fn at(case: &Case, f: &mut Findings) {
-    flow_gradients::compare(case, f, "df/dt_z", &[(Input::Radial, |g| g.t_z)]);
+    flow_derivatives::compare(case, f, "df/dt_z", &[(Input::Radial, |g| g.t_z)]);
 }
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-    use crate::ledger::testing::{case, holds, limit};
-
-    proptest! {
-        #[test]
-        fn holds_everywhere(case in case()) {
-            holds(|f| at(&case, f))?;
-        }
-
-        #[test]
-        fn holds_at_the_limits(case in limit()) {
-            holds(|f| at(&case, f))?;
-        }
-    }
+    crate::ledger::testing::tests_on_cases!(super::at);
 }

@@ -2,10 +2,10 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::flow_gradients::{Input, ways};
 use crate::alignment::Convention;
 use crate::flow::gradients::{depth_gradient_about_focus, depth_gradient_at_principal_point, translational_gradients};
 use crate::flow::translational::focus_of_expansion;
+use crate::ledger::flow_derivatives::{Input, ways};
 use crate::ledger::{Case, Claim, Findings, Trial, Verdict};
 use crate::scenes;
 

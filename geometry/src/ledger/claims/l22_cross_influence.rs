@@ -2,11 +2,11 @@
 
 use nalgebra::{Vector2, Vector3};
 
-use super::flow_gradients::{Input, ways};
 use crate::alignment::axial_jacobian;
 use crate::flow::gradients::{
     mixed_second_derivatives, radial_influence, tangential_influence, tangential_influence_radius, translational_gradients,
 };
+use crate::ledger::flow_derivatives::{Input, ways};
 use crate::ledger::{Case, Claim, Findings, Trial, Verdict, forward, taped};
 use crate::scenes;
 
@@ -132,20 +132,5 @@ fn shares(case: &Case, f: &mut Findings) {
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-    use crate::ledger::testing::{case, holds, limit};
-
-    proptest! {
-        #[test]
-        fn holds_everywhere(case in case()) {
-            holds(|f| at(&case, f))?;
-        }
-
-        #[test]
-        fn holds_at_the_limits(case in limit()) {
-            holds(|f| at(&case, f))?;
-        }
-    }
+    crate::ledger::testing::tests_on_cases!(super::at);
 }

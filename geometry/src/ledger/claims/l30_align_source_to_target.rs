@@ -125,20 +125,5 @@ fn inverses(case: &Case, back: &Se3, f: &mut Findings) {
 
 #[cfg(test)]
 mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-    use crate::ledger::testing::{case, holds, limit};
-
-    proptest! {
-        #[test]
-        fn holds_everywhere(case in case()) {
-            holds(|f| at(&case, f))?;
-        }
-
-        #[test]
-        fn holds_at_the_limits(case in limit()) {
-            holds(|f| at(&case, f))?;
-        }
-    }
+    crate::ledger::testing::tests_on_cases!(super::at);
 }

@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 
 use crate::ledger::forward::{V2, direction};
-use crate::ledger::{Case, Claim, Findings, Trial, Verdict, flow_gradients as by, taped};
+use crate::ledger::{Case, Claim, Findings, Trial, Verdict, loss_slopes as by, taped};
 use crate::loss_forms::planar::gradients;
 use crate::losses::{self, LossOptions, PlanarForm};
 

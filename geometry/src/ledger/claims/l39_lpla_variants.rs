@@ -4,7 +4,7 @@ use dimode_autodiff::proof::Dual;
 use nalgebra::{Rotation2, Vector2};
 
 use crate::ledger::forward::{V2, direction, fixed};
-use crate::ledger::{Case, Claim, Findings, Trial, Verdict, flow_gradients as by, taped};
+use crate::ledger::{Case, Claim, Findings, Trial, Verdict, loss_slopes as by, taped};
 use crate::loss_forms::planar::{self, gradients};
 use crate::losses::{self, LossOptions, PlanarForm};
 use crate::scenes;

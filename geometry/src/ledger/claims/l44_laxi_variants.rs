@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 use crate::aligned_scene::AlignedScene;
 use crate::camera::Intrinsics;
 use crate::ledger::forward::{V2, direction};
-use crate::ledger::{Case, Claim, Findings, Trial, Verdict, flow_gradients as by, taped};
+use crate::ledger::{Case, Claim, Findings, Trial, Verdict, loss_slopes as by, taped};
 use crate::loss_forms::axial::{self, gradients};
 use crate::losses::{self, AlignedPair, AxialForm, LossOptions};
 use crate::scenes;

@@ -2,8 +2,6 @@
 
 use super::claim::Claim;
 
-mod flow_gradients;
-
 mod l01_intrinsics;
 mod l02_direction_of_t;
 mod l03_rigid_flow;

@@ -8,7 +8,7 @@ use crate::so3;
 
 /// What the flow is differentiated by; the number is the place in [`Ways`].
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Input {
+pub(crate) enum Input {
     TangentialX = 0,
     TangentialY = 1,
     Radial = 2,
@@ -16,7 +16,7 @@ pub(super) enum Input {
 }
 
 /// Derivatives of the flow by `t_x, t_y, t_z, z`, by the ways that share no code with the closed forms.
-pub(super) struct Ways {
+pub(crate) struct Ways {
     pub forward: [Vector2<f64>; 4],
     pub tape: [Vector2<f64>; 4],
     pub central: [Vector2<f64>; 4],
@@ -25,7 +25,7 @@ pub(super) struct Ways {
 }
 
 /// The flow's derivatives at a case.
-pub(super) fn ways(case: &Case) -> Ways {
+pub(crate) fn ways(case: &Case) -> Ways {
     let (camera, p, z) = (&case.camera, case.pixel, case.depth);
     let (w, t) = (so3::log(&case.motion.rotation), case.motion.translation);
     let x = [t.x, t.y, t.z, z];
@@ -46,10 +46,10 @@ pub(super) fn ways(case: &Case) -> Ways {
 }
 
 /// An input, and its derivative among the closed forms.
-pub(super) type Part = (Input, fn(&TranslationalGradients) -> Vector2<f64>);
+pub(crate) type Part = (Input, fn(&TranslationalGradients) -> Vector2<f64>);
 
 /// Compares some of the closed forms with all other ways, without the case's rotation and with it.
-pub(super) fn compare(case: &Case, f: &mut Findings, what: &str, parts: &[Part]) {
+pub(crate) fn compare(case: &Case, f: &mut Findings, what: &str, parts: &[Part]) {
     let straight = case.without_rotation();
     let (camera, p, z) = (&case.camera, &case.pixel, case.depth);
     let without = translational_gradients(camera, &straight.motion.translation, p, z);
