@@ -1,9 +1,10 @@
 //! Cross-task consistency of DF-Net and the depth consistency of DCPI-Depth.
 
 use dimode::losses::contextual_geometric::{
-    ContextualForm, ContextualInputs, Gated, TriangulatedForm, radial_depth, stretched, triangulated_depth,
+    ContextualForm, ContextualInputs, TriangulatedForm, radial_depth, stretched, triangulated_depth,
 };
 use dimode::losses::cross_task::cross_task;
+use dimode::losses::gated::Gated;
 use dimode_autodiff::{Scalar, Tape, Tensor, Var, pixel_grid};
 use dimode_geometry::Intrinsics;
 use dimode_geometry::taped::{Divisor, Pose, RotationForm, back_project, project, source_from_target};

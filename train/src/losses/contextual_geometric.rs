@@ -6,31 +6,23 @@
 //! - [`radial_depth`] ("v2", the default there): `D_geo = -t_z (q.q + q.f_tr) / (q.f_tr + 1e-5)`;
 //! - [`triangulated_depth`] ("v1"): `D_geo = ((t_x + t_y) - t_z s) / ((r_3.b) s - (r_1 + r_2).b + 1e-5)` with the target ray `b`, the
 //!   rows `r_i` of `R`, and `s = x_s + y_s` of the source ray `(x_s, y_s, 1)`;
-//! - the error of either is `e = |D_geo - D| / (D + 1e-5)`, the loss the mean over the pixels of the batch with `e < 2`;
-//! - [`rigid_agreement`] (`L_rig`): the same mean of `|f_opt - sg(f_rig)| / |f_opt + 1e-5|` over components below 0.5;
-//! - [`divergence_agreement`] (`L_dpc`): see there.
+//! - the error of either is `e = |D_geo - D| / (D + 1e-5)`, the loss the mean over the pixels of the batch with `e < 2`.
 //!
-//! [`total`] adds them up. All are for the next frame and the finest scale.
+//! [`total`] adds [`rigid_agreement`](super::rigid_agreement) and [`contextual_divergence`](super::contextual_divergence). All are for the next frame and the finest scale.
 //!
 //! **Gradient**: what is marked `sg` has none, and neither has the choice of pixels. Pixels that do not count have exactly zero
 //! gradient, also where an error is infinite; without any, a loss is 0 (the public code gives NaN).
 //!
 //! **Reading**: the public code has three slips, which [`ContextualForm`] and [`TriangulatedForm`] keep for comparison only.
 
-use dimode_autodiff::ops::pad::Sides;
 use dimode_autodiff::{Scalar, Shape, Tensor, Var};
 use dimode_geometry::Intrinsics;
 
+use super::gated::{GUARD, Gated, below};
 use super::masked::batch_mean;
 
-/// Keeps denominators away from 0 where they are positive; where they are not, the gate does.
-const GUARD: f64 = 1e-5;
 /// Relative errors of depths from here on do not count.
 pub const DEPTH_GATE: f64 = 2.0;
-/// Relative errors of flow components from here on do not count.
-pub const RIGID_GATE: f64 = 0.5;
-/// Relative errors of divergences from here on do not count.
-pub const DIVERGENCE_GATE: f64 = 0.2;
 /// Weight of the whole in DCPI-Depth, from its second epoch on.
 pub const WEIGHT: f64 = 0.01;
 /// Weight of `L_dpc` and of `L_rig` inside the whole.
@@ -59,29 +51,6 @@ pub enum TriangulatedForm {
     AsCoded,
 }
 
-/// Signs and depth in [`divergence_agreement`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum DivergenceForm {
-    /// As follows from the flow of a translation along the axis, over inner pixels.
-    #[default]
-    Corrected,
-    /// As the public code: `D` for the source depth, the opposite sign of the gradient's term, and borders that see zeros. At the
-    /// truth its error is 2 or, unless the translation is small beside the depth, anything: neither counts but by accident. For
-    /// comparison only.
-    AsCoded,
-}
-
-/// A mean over what passed a gate.
-#[derive(Clone, Debug)]
-pub struct Gated<'t, T: Scalar> {
-    /// Mean over the kept entries of the batch, 0 without any.
-    pub mean: Var<'t, T>,
-    /// The error of every entry, infinite or NaN where a denominator is 0.
-    pub errors: Tensor<T>,
-    /// 1 where the error is below the gate.
-    pub kept: Tensor<T>,
-}
-
 /// What the losses compare. Maps are `[n, c, h, w]` in pixels and units of depth.
 #[derive(Clone, Copy, Debug)]
 pub struct ContextualInputs<'a, 't, T: Scalar> {
@@ -100,21 +69,21 @@ pub struct ContextualInputs<'a, 't, T: Scalar> {
 }
 
 impl<'t, T: Scalar> ContextualInputs<'_, 't, T> {
-    fn shape(&self) -> Shape {
+    pub(super) fn shape(&self) -> Shape {
         self.depth.shape()
     }
 
-    fn constant(&self, x: Tensor<T>) -> Var<'t, T> {
+    pub(super) fn constant(&self, x: Tensor<T>) -> Var<'t, T> {
         self.depth.tape().constant(x)
     }
 
     /// `t_k` at every pixel.
-    fn translation(&self, k: usize) -> Var<'t, T> {
+    pub(super) fn translation(&self, k: usize) -> Var<'t, T> {
         self.translation.slice(1, k, 1).broadcast_to(self.shape())
     }
 
     /// `p` minus the centre, two channels.
-    fn offsets(&self, form: ContextualForm) -> Var<'t, T> {
+    pub(super) fn offsets(&self, form: ContextualForm) -> Var<'t, T> {
         let s = self.shape();
         let centre = |n: usize| match form {
             ContextualForm::Corrected => [self.intrinsics[n].u0, self.intrinsics[n].v0],
@@ -124,7 +93,7 @@ impl<'t, T: Scalar> ContextualInputs<'_, 't, T> {
     }
 
     /// `f_opt - sg(f_rot)`.
-    fn translational_flow(&self, form: ContextualForm) -> Var<'t, T> {
+    pub(super) fn translational_flow(&self, form: ContextualForm) -> Var<'t, T> {
         let rotational = match form {
             ContextualForm::AsCoded => stretched(self.rotational),
             _ => self.rotational.clone(),
@@ -193,56 +162,6 @@ pub fn triangulated_depth<'t, T: Scalar>(inputs: &ContextualInputs<'_, 't, T>, f
     depth_error(upper, lower, inputs.depth)
 }
 
-/// `L_rig`: relative difference of optical and rigid flow, component by component; `rigid` is `[n, 2, h, w]`, pixels.
-///
-/// **Gradient**: to the optical flow.
-///
-/// # Panics
-/// When shapes differ.
-#[track_caller]
-pub fn rigid_agreement<'t, T: Scalar>(optical: Var<'t, T>, rigid: &Tensor<T>) -> Gated<'t, T> {
-    let difference = optical.sub(optical.tape().constant(rigid.clone()));
-    relative(difference, optical.add_scalar(GUARD), None, RIGID_GATE)
-}
-
-/// `L_dpc`: the divergence of the translational flow must go with the slope of the depth.
-///
-/// For a translation along the axis `f = -q t_z / D_s` with the source depth `D_s = D + t_z`, so
-/// `div f D_s / t' = 2 - (q . grad D) / D_s` with `t' = -t_z`. With central differences that are not divided by two,
-/// `a = div D_s / t' - 4` and `b = -(q . grad) / D_s` must be equal; the loss is the mean of `|a - b| / |b + 1e-5|` below 0.2.
-/// DCPI-Depth adds it in the last third of training. Differences neglect third derivatives of the flow.
-///
-/// **Gradient**: to flow, depth and `t_z`.
-///
-/// # Panics
-/// When shapes differ or a side is shorter than 3 pixels.
-#[track_caller]
-pub fn divergence_agreement<'t, T: Scalar>(
-    inputs: &ContextualInputs<'_, 't, T>,
-    centre: ContextualForm,
-    form: DivergenceForm,
-) -> Gated<'t, T> {
-    let (q, f) = (inputs.offsets(centre), inputs.translational_flow(centre));
-    let backward = inputs.translation(2).neg();
-    let scale = match form {
-        DivergenceForm::Corrected => inputs.depth.sub(backward),
-        DivergenceForm::AsCoded => inputs.depth,
-    };
-    let inner = match form {
-        DivergenceForm::Corrected => inner_pixels(inputs.shape()),
-        DivergenceForm::AsCoded => Tensor::full(inputs.shape(), T::ONE),
-    };
-    let usable = usable(&inner, &scale.value(), &backward.value());
-    let one = inputs.constant(Tensor::full(inputs.shape(), T::ONE));
-    let (scale, backward) = (scale.select(&usable, one), backward.select(&usable, one));
-    let divergence = central(f.slice(1, 0, 1), 3).add(central(f.slice(1, 1, 1), 2));
-    let slope = Var::concat(&[central(inputs.depth, 3), central(inputs.depth, 2)], 1);
-    let a = divergence.mul(scale).div(backward).add_scalar(-4.0);
-    let b = dot(slope, q).div(scale);
-    let b = if form == DivergenceForm::Corrected { b.neg() } else { b };
-    relative(a.sub(b), b.add_scalar(GUARD), Some(&usable), DIVERGENCE_GATE)
-}
-
 /// `depth + 0.2 divergence + 0.2 rigid`; DCPI-Depth adds [`WEIGHT`] times that to its loss.
 pub fn total<'t, T: Scalar>(depth: Var<'t, T>, divergence: Option<Var<'t, T>>, rigid: Var<'t, T>) -> Var<'t, T> {
     let part = |x: Var<'t, T>| x.scale(PART_WEIGHT);
@@ -251,30 +170,9 @@ pub fn total<'t, T: Scalar>(depth: Var<'t, T>, divergence: Option<Var<'t, T>>, r
 }
 
 /// `a . b` over the channels.
-fn dot<'t, T: Scalar>(a: Var<'t, T>, b: Var<'t, T>) -> Var<'t, T> {
+pub(super) fn dot<'t, T: Scalar>(a: Var<'t, T>, b: Var<'t, T>) -> Var<'t, T> {
     let product = a.mul(b);
     product.sum_to(product.shape().with_c(1))
-}
-
-/// `x(i + 1) - x(i - 1)` along rows (axis 2) or columns (3), with 0 outside.
-fn central<T: Scalar>(x: Var<'_, T>, axis: usize) -> Var<'_, T> {
-    let size = x.shape().0[axis];
-    let sides =
-        if axis == 2 { Sides { top: 1, bottom: 1, ..Sides::default() } } else { Sides { left: 1, right: 1, ..Sides::default() } };
-    let padded = x.pad_zero(sides);
-    padded.slice(axis, 2, size).sub(padded.slice(axis, 0, size))
-}
-
-/// 1 but for a frame of one pixel.
-fn inner_pixels<T: Scalar>(shape: Shape) -> Tensor<T> {
-    super::census::framed(&Tensor::full(shape, T::ONE), 1)
-}
-
-/// Pixels of a mask where both numbers can be divided by.
-fn usable<T: Scalar>(mask: &Tensor<T>, scale: &Tensor<T>, backward: &Tensor<T>) -> Tensor<T> {
-    let tiny = T::from_f64(1e-9);
-    let keep = |((&m, &d), &t): ((&T, &T), &T)| if m != T::ZERO && d > tiny && t.abs() > tiny { T::ONE } else { T::ZERO };
-    Tensor::from_vec(mask.shape(), mask.data().iter().zip(scale.data()).zip(backward.data()).map(keep).collect())
 }
 
 /// `|upper / lower - D| / (D + 1e-5)`, gated.
@@ -300,33 +198,10 @@ fn depth_error<'t, T: Scalar>(upper: Var<'t, T>, lower: Var<'t, T>, depth: Var<'
     Gated { mean: batch_mean(error, &kept, 0), errors, kept }
 }
 
-/// `|difference / size|` over the entries of `mask`, gated.
-fn relative<'t, T: Scalar>(difference: Var<'t, T>, size: Var<'t, T>, mask: Option<&Tensor<T>>, gate: f64) -> Gated<'t, T> {
-    let shape = size.shape();
-    let mut errors: Vec<T> = difference.value().data().iter().zip(size.value().data()).map(|(&d, &s)| (d / s).abs()).collect();
-    if let Some(mask) = mask {
-        let left_out = |(e, &m): (&mut T, &T)| {
-            if m == T::ZERO {
-                *e = T::from_f64(f64::INFINITY)
-            }
-        };
-        errors.iter_mut().zip(mask.data()).for_each(left_out);
-    }
-    let errors = Tensor::from_vec(shape, errors);
-    let kept = below(&errors, gate);
-    let one = size.tape().constant(Tensor::full(shape, T::ONE));
-    let error = difference.select(&kept, one).div(size.select(&kept, one)).abs();
-    Gated { mean: batch_mean(error, &kept, 0), errors, kept }
-}
-
-/// 1 where an error is below the gate (NaN is not).
-fn below<T: Scalar>(errors: &Tensor<T>, gate: f64) -> Tensor<T> {
-    let gate = T::from_f64(gate);
-    Tensor::from_vec(errors.shape(), errors.data().iter().map(|&e| if e < gate { T::ONE } else { T::ZERO }).collect())
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
+    use super::super::contextual_divergence::{DivergenceForm, divergence_agreement};
+    use super::super::rigid_agreement::rigid_agreement;
     use super::*;
     use dimode_autodiff::gradcheck::random;
     use dimode_autodiff::{GradCheck, Tape, gradcheck};
@@ -356,12 +231,12 @@ mod tests {
         rigid_flow(tape.constant(depth.clone()), tape.constant(r), tape.constant(t), &cameras()).slice(1, 0, 2).value()
     }
 
-    fn motion(w: [f64; 3], t: [f64; 3]) -> Se3 {
+    pub fn motion(w: [f64; 3], t: [f64; 3]) -> Se3 {
         Se3::from_rotation_vector(&Vector3::from(w), Vector3::from(t))
     }
 
     /// Runs `f` on the exact scene of a motion.
-    fn exact<R>(m: Se3, f: impl FnOnce(&ContextualInputs<'_, '_, f64>) -> R) -> R {
+    pub fn exact<R>(m: Se3, f: impl FnOnce(&ContextualInputs<'_, '_, f64>) -> R) -> R {
         let (tape, depth) = (Tape::new(), plane());
         let (r, t) = pose_tensors(&[m; 2]);
         let still = Se3 { translation: Vector3::zeros(), ..m };
@@ -397,40 +272,11 @@ mod tests {
     }
 
     #[test]
-    fn divergence_and_slope_agree_at_the_truth_but_not_as_coded() {
-        exact(motion([0.0; 3], [0.0, 0.0, -0.02]), |inputs| {
-            let errors = |form| divergence_agreement(inputs, ContextualForm::Corrected, form).errors;
-            let inner = inner_pixels::<f64>(inputs.shape());
-            let [good, coded] = [DivergenceForm::Corrected, DivergenceForm::AsCoded].map(|form| {
-                let errors = errors(form);
-                let mut inside: Vec<f64> =
-                    errors.data().iter().zip(inner.data()).filter(|(_, m)| **m != 0.0).map(|(e, _)| *e).collect();
-                inside.sort_by(f64::total_cmp);
-                inside[inside.len() / 2]
-            });
-            assert!(good < 0.05, "{good}");
-            assert!((coded - 2.0).abs() < 0.5, "{coded}");
-            let gated = divergence_agreement(inputs, ContextualForm::Corrected, DivergenceForm::Corrected);
-            assert!(gated.kept.data().iter().sum::<f64>() > 0.6 * 160.0);
-        });
-    }
-
-    #[test]
-    fn rigid_agreement_is_relative_and_gated() {
+    fn the_total_weighs_its_parts() {
         let tape = Tape::<f64>::new();
-        let shape = Shape::new(1, 2, 1, 2);
-        let flow = tape.leaf(Tensor::from_vec(shape, vec![2.0, 1.0, -1e-5, 4.0]));
-        let gated = rigid_agreement(flow, &Tensor::from_vec(shape, vec![1.5, 3.0, 1.0, 4.0]));
-        // 0.25; 2 does not count; a denominator of 0 does not count; 0.
-        assert!((gated.mean.value().item() - 0.125).abs() < 1e-5);
-        assert_eq!(gated.kept.data(), [1.0, 0.0, 0.0, 1.0]);
-        let grad = tape.backward(gated.mean).wrt(flow);
-        // d/df of (f - 1.5) / f = 1.5 / f^2, over two entries.
-        assert!((grad.data()[0] - 1.5 / 8.0).abs() < 1e-5);
-        assert_eq!(grad.data()[1..], [0.0; 3]);
-        let sum = total(gated.mean, Some(gated.mean), gated.mean).value().item();
-        assert!((sum - 1.4 * gated.mean.value().item()).abs() < 1e-15);
-        assert!((total(gated.mean, None, gated.mean).value().item() - 1.2 * gated.mean.value().item()).abs() < 1e-15);
+        let part = tape.leaf(Tensor::full(Shape::new(1, 1, 1, 1), 0.5));
+        assert!((total(part, Some(part), part).value().item() - 0.7).abs() < 1e-15);
+        assert!((total(part, None, part).value().item() - 0.6).abs() < 1e-15);
     }
 
     #[test]

@@ -19,6 +19,8 @@
 //! | [`rectify`] | the rotation that is removed is the one that was there | SC-Depth V2 |
 //! | [`dynamo`] | flow of moving things, and a mask that tells them apart | Dynamo-Depth |
 //! | [`contextual_geometric`] | the depth that flow and motion imply is the predicted one | DCPI-Depth |
+//! | [`contextual_divergence`] | the divergence of the flow goes with the slope of the depth | DCPI-Depth |
+//! | [`rigid_agreement`] | optical and rigid flow agree, relative to the flow | DCPI-Depth |
 //! | [`cross_task`], [`flow_consistency`] | rigid and optical flow agree | DF-Net |
 //! | **Optical flow** | | |
 //! | [`flow_photometric`] | the image warped by each of a sequence of flows looks like the target | paper |
@@ -28,10 +30,11 @@
 //! | [`forward_backward`] | following a flow there and another back ends at the start | DF-VO |
 //! | [`raft_sequence`] | each of a sequence of flows is the true one | RAFT |
 //! | **Parts** | | |
-//! | [`charbonnier`], [`masked`] | a robust penalty; the mean over chosen pixels of a batch | |
+//! | [`charbonnier`], [`masked`], [`gated`] | a robust penalty; means over chosen pixels of a batch, and over those below a gate | |
 
 pub mod census;
 pub mod charbonnier;
+pub mod contextual_divergence;
 pub mod contextual_geometric;
 pub mod cross_task;
 pub mod depth_ranking;
@@ -41,6 +44,7 @@ pub mod flow_consistency;
 pub mod flow_photometric;
 pub mod flow_smoothness;
 pub mod forward_backward;
+pub mod gated;
 pub mod guided_filter;
 pub mod local_structure;
 pub mod masked;
@@ -52,6 +56,7 @@ pub mod pseudo_depth;
 pub mod raft_sequence;
 pub mod rectify;
 pub mod relative_normal;
+pub mod rigid_agreement;
 pub mod sc_depth_pair;
 pub mod sc_sfm_pair;
 pub mod scale_anchor;
