@@ -21,4 +21,5 @@ pub mod run;
 pub mod runlog;
 pub mod sampler;
 pub mod schedule;
+pub mod teacher;
 pub mod trainer;

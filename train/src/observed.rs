@@ -10,15 +10,25 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use dimode_autodiff::{Pool, Shape, Tape, Tensor, par};
 use dimode_nets::{Binder, FlowOptions, ParamSet};
 
-use crate::batch::{Batch, Images};
+use crate::batch::{Batch, Images, join};
 use crate::mirror::{mirrored, mirrored_flow};
 use crate::model::Model;
 
 /// Bytes of flow that are kept.
 const BYTES: usize = 512 << 20;
 
-/// Flow by snippet (sequence, target frame): towards the previous and the next frame, `[2, 2, h, w]`, pixels.
+/// Flow by snippet (sequence, target frame): towards the previous and the next frame, `[2, 2, h, w]`, pixels; where both ways are
+/// known also from them, `[4, 2, h, w]`.
 type Kept = BTreeMap<(usize, usize), Arc<Tensor<f32>>>;
+
+/// Optical flow between the targets of a batch and both sources, `[2 n, 2, h, w]`, pixels, previous sources first.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BatchFlow {
+    /// From target to source.
+    pub forward: Tensor<f32>,
+    /// From source to target, where it was asked for.
+    pub backward: Option<Tensor<f32>>,
+}
 
 /// What was found so far.
 #[derive(Default)]
@@ -37,52 +47,63 @@ impl ObservedFlow {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Flow from the targets of a batch to both sources, `[2 n, 2, h, w]`, previous first; no gradient.
-    pub fn of(&self, model: &Model, weights: &ParamSet<f32>, batch: &Batch, pool: &Arc<Pool<f32>>) -> Tensor<f32> {
+    /// Flow of a batch, without gradient; with `both_ways` also the flow back.
+    pub fn of(&self, (model, weights): (&Model, &ParamSet<f32>), batch: &Batch, both_ways: bool, pool: &Arc<Pool<f32>>) -> BatchFlow {
+        let maps = if both_ways { 4 } else { 2 };
         let flows = par::map_indices(batch.snippets.len(), |i| {
             let key = batch.snippets[i];
-            if let Some(known) = self.lock().get(&key) {
+            if let Some(known) = self.lock().get(&key).filter(|known| known.shape().n() >= maps) {
                 return Arc::clone(known);
             }
-            let found = Arc::new(snippet_flow(model, weights, batch, i, pool));
+            let found = Arc::new(snippet_flow((model, weights), batch, i, both_ways, pool));
             let mut kept = self.lock();
             if (kept.len() + 1) * found.shape().len() * size_of::<f32>() <= BYTES {
                 kept.insert(key, Arc::clone(&found));
             }
             found
         });
-        in_batch_order(batch, &flows)
+        let towards = |first| in_batch_order(batch, &flows, first);
+        BatchFlow { forward: towards(0), backward: both_ways.then(|| towards(2)) }
     }
 }
 
-/// Flow of one snippet as it was taken, `[2, 2, h, w]`.
-fn snippet_flow(model: &Model, weights: &ParamSet<f32>, batch: &Batch, i: usize, pool: &Arc<Pool<f32>>) -> Tensor<f32> {
+/// Flow of one snippet as it was taken, `[2, 2, h, w]`, or `[4, 2, h, w]` both ways.
+fn snippet_flow(
+    (model, weights): (&Model, &ParamSet<f32>),
+    batch: &Batch,
+    i: usize,
+    both_ways: bool,
+    pool: &Arc<Pool<f32>>,
+) -> Tensor<f32> {
     let Images { target, previous, next } = &batch.plain;
     let [target, previous, next] = [target, previous, next].map(|images| {
         let shape = Shape::new(1, 3, images.shape().h(), images.shape().w());
         let image = Tensor::from_vec(shape, images.data()[i * shape.len()..][..shape.len()].to_vec());
         if batch.flipped[i] { mirrored(&image) } else { image }
     });
-    let tape = Tape::with_pool(pool.clone());
-    let net = Binder::frozen(&tape, weights);
-    let first = tape.constant(crate::batch::join(&[&target, &target]));
-    let second = tape.constant(crate::batch::join(&[&previous, &next]));
-    let options = FlowOptions { iterations: Some(model.flow_iterations), last_only: true, ..FlowOptions::default() };
-    model.flow.trace(&net, first, second, &options).flows[0].value()
+    let (targets, sources) = (join(&[&target, &target]), join(&[&previous, &next]));
+    let flow = |first: &Tensor<f32>, second: &Tensor<f32>| {
+        let tape = Tape::with_pool(pool.clone());
+        let net = Binder::frozen(&tape, weights);
+        let options = FlowOptions { iterations: Some(model.flow_iterations), last_only: true, ..FlowOptions::default() };
+        let [first, second] = [first, second].map(|images| tape.constant(images.clone()));
+        model.flow.trace(&net, first, second, &options).flows[0].value()
+    };
+    let there = flow(&targets, &sources);
+    if both_ways { join(&[&there, &flow(&sources, &targets)]) } else { there }
 }
 
-/// Flows of snippets as those of the batch: mirrored where it is, towards the previous frames first.
-fn in_batch_order(batch: &Batch, flows: &[Arc<Tensor<f32>>]) -> Tensor<f32> {
-    let flows: Vec<_> = flows
-        .iter()
-        .zip(&batch.flipped)
-        .map(|(flow, &flipped)| if flipped { mirrored_flow(flow) } else { flow.as_ref().clone() })
-        .collect();
-    let one = flows[0].shape().len() / 2;
+/// Maps `first` and `first + 1` of every snippet as those of the batch: mirrored where it is, those of the previous frames first.
+fn in_batch_order(batch: &Batch, flows: &[Arc<Tensor<f32>>], first: usize) -> Tensor<f32> {
     let mut shape = flows[0].shape();
-    shape.0[0] = 2 * flows.len();
-    let towards = |k: usize| flows.iter().flat_map(move |f| f.data()[k * one..][..one].iter().copied());
-    Tensor::from_vec(shape, towards(0).chain(towards(1)).collect())
+    shape.0[0] = 1;
+    let map = |i: usize, k: usize| {
+        let map = Tensor::from_vec(shape, flows[i].data()[k * shape.len()..][..shape.len()].to_vec());
+        if batch.flipped[i] { mirrored_flow(&map) } else { map }
+    };
+    let maps: Vec<_> = [first, first + 1].into_iter().flat_map(|k| (0..flows.len()).map(move |i| (i, k))).collect();
+    let maps: Vec<_> = maps.into_iter().map(|(i, k)| map(i, k)).collect();
+    join(&maps.iter().collect::<Vec<_>>())
 }
 
 #[cfg(test)]
@@ -90,6 +111,7 @@ mod tests {
     use super::*;
     use crate::config::Config;
     use crate::run::training_frames;
+    use crate::teacher::Teacher;
 
     #[test]
     fn what_is_kept_is_what_is_found() {
@@ -102,13 +124,17 @@ mod tests {
         let pool = Pool::new();
         let mut flips = [false; 2];
         for step in 0..12 {
-            let batch = Batch::load(frames.as_ref(), &[(0, 1), (1, 2), (0, 3)], &config.train, 3, step).unwrap();
-            let fresh = ObservedFlow::default().of(&model, &weights, &batch, &pool);
-            assert_eq!(kept.of(&model, &weights, &batch, &pool).data(), fresh.data(), "step {step}");
+            let batch = Batch::load(frames.as_ref(), &[(0, 1), (1, 2), (0, 3)], (&config.train, &Teacher::None), 3, step).unwrap();
+            // Some snippets are met one way first, and all are met again.
+            let both_ways = step % 3 == 1;
+            let found = ObservedFlow::default().of((&model, &weights), &batch, both_ways, &pool);
+            assert_eq!(kept.of((&model, &weights), &batch, both_ways, &pool), found, "step {step}");
+            assert_eq!(found.backward.is_some(), both_ways);
+            let fresh = found.forward;
             let shape = fresh.shape();
             assert_eq!((shape.n(), shape.c()), (6, 2));
             // Towards the next frame of the second snippet, on the frames as they were taken.
-            let own = snippet_flow(&model, &weights, &batch, 1, &pool);
+            let own = snippet_flow((&model, &weights), &batch, 1, false, &pool);
             let seen = Tensor::from_vec(
                 Shape::new(1, 2, shape.h(), shape.w()),
                 fresh.data()[4 * shape.len() / 6..5 * shape.len() / 6].to_vec(),

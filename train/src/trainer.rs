@@ -14,8 +14,8 @@ use crate::batch::{Batch, join};
 use crate::config::{Config, StageConfig};
 use crate::model::{Model, Weights};
 use crate::non_finite::{Failure, NonFinite};
-use crate::objective::{self, Given, Outputs, TermReport};
-use crate::observed::ObservedFlow;
+use crate::objective::{self, Flow, FlowWays, Given, LossReport, Needs, Outputs, SourceDepth, TermReport};
+use crate::observed::{BatchFlow, ObservedFlow};
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::{clip_scale, gradient_norm};
 use crate::pose_refinement::Pairs;
@@ -58,7 +58,7 @@ impl Trainer {
     pub fn step(
         &mut self,
         batch: &Batch,
-        observed: Option<&Tensor<f32>>,
+        observed: Option<&BatchFlow>,
         stage: &StageConfig,
         step: u64,
         rate: f64,
@@ -69,14 +69,15 @@ impl Trainer {
             || shared.scene_gradients(batch, stage, observed, step, probe),
             || stage.train_flow.then(|| shared.flow_gradients(batch)),
         );
-        let Scene { mut terms, mut total, depth: depth_gradients, pose: pose_gradients, statistics } =
+        let Scene { losses: LossReport { mut terms, mut total }, gradients, statistics } =
             scene.map_err(|failure| failure.at(step, batch))?;
+        let [depth_gradients, pose_gradients, flow_of_scene] = gradients;
         let mut flow_step = None;
         if let Some(flow) = flow {
-            let (term, gradients) = flow.map_err(|failure| failure.at(step, batch))?;
-            total += term.weight * term.value;
-            terms.push(term);
-            flow_step = Some(gradients);
+            let (own, gradients) = flow.map_err(|failure| failure.at(step, batch))?;
+            total += own.iter().map(|term| term.weight * term.value).sum::<f64>();
+            terms.extend(own);
+            flow_step = Some(added(gradients, flow_of_scene));
         }
         let clip = self.config.train.clip_norm;
         let norms = [
@@ -141,54 +142,81 @@ impl Trainer {
         &self,
         batch: &Batch,
         stage: &StageConfig,
-        observed: Option<&Tensor<f32>>,
+        observed: Option<&BatchFlow>,
         step: u64,
         probe: bool,
     ) -> Result<Scene, Failure> {
-        let found;
-        let flow = match observed {
-            None if objective::needs_flow(&self.config.loss, stage) => {
-                found = ObservedFlow::default().of(&self.model, &self.weights.flow, batch, &self.pool);
-                Some(&found)
-            }
-            given => given,
-        };
+        let needs = objective::needs(&self.config.loss, stage);
         let tape = Tape::with_pool(self.pool.clone());
         let mut depth = binder(&tape, &self.weights.depth, stage.train_depth);
         let mut pose = binder(&tape, &self.weights.pose, stage.train_pose);
-        let outputs = self.run_networks(&tape, batch, stage, &mut depth, &mut pose);
-        let losses =
-            objective::measure(&self.config, self.model.range, &self.pool, &outputs, &Given { batch, stage, flow, step, probe })?;
-        let gradients = tape.backward_and_free(outputs.carry(&losses.gradients));
+        let flow = binder(&tape, &self.weights.flow, stage.train_flow);
+        let outputs = Outputs {
+            flow: self.flow_between(&flow, batch, needs.flow, (stage, observed)),
+            ..self.run_networks(&tape, batch, (stage, needs), &mut depth, &mut pose)
+        };
+        let given = Given { batch, stage, step, probe };
+        let (losses, of_outputs) = objective::measure(&self.config, self.model.range, &self.pool, &outputs, &given)?;
+        let gradients = tape.backward_and_free(outputs.carry(&of_outputs));
+        let of = |net: &Binder<'_, f32>, trained: bool| if trained { net.gradients(&gradients) } else { Vec::new() };
+        let reaches_flow = stage.train_flow && needs.flow != FlowWays::None;
         Ok(Scene {
-            terms: losses.terms,
-            total: losses.total,
-            depth: if stage.train_depth { depth.gradients(&gradients) } else { Vec::new() },
-            pose: if stage.train_pose { pose.gradients(&gradients) } else { Vec::new() },
+            losses,
+            gradients: [of(&depth, stage.train_depth), of(&pose, stage.train_pose), of(&flow, reaches_flow)],
             statistics: [depth.into_statistics(), pose.into_statistics()],
         })
+    }
+
+    /// Optical flow of a batch, as far as it is needed: with a gradient in stages that train its network, else as observed.
+    fn flow_between<'t>(
+        &self,
+        net: &Binder<'t, f32>,
+        batch: &Batch,
+        ways: FlowWays,
+        (stage, observed): (&StageConfig, Option<&BatchFlow>),
+    ) -> Option<Flow<'t>> {
+        let both_ways = match ways {
+            FlowWays::None => return None,
+            ways => ways == FlowWays::Both,
+        };
+        let tape = net.tape();
+        if stage.train_flow {
+            let images = &batch.plain;
+            let targets = tape.constant(join(&[&images.target, &images.target]));
+            let sources = tape.constant(join(&[&images.previous, &images.next]));
+            let said = |first, second| *self.model.flow.forward(net, first, second, self.model.flow_iterations).last().expect("a flow");
+            let backward = both_ways.then(|| said(sources, targets));
+            return Some(Flow { forward: said(targets, sources), backward, trained: true });
+        }
+        let put = |flow: &BatchFlow| Flow {
+            forward: tape.constant(flow.forward.clone()),
+            backward: flow.backward.as_ref().filter(|_| both_ways).map(|back| tape.constant(back.clone())),
+            trained: false,
+        };
+        let found = || ObservedFlow::default().of((&self.model, &self.weights.flow), batch, both_ways, &self.pool);
+        Some(observed.map_or_else(|| put(&found()), put))
     }
 
     fn run_networks<'t>(
         &self,
         tape: &'t Tape<f32>,
         batch: &Batch,
-        stage: &StageConfig,
+        (stage, needs): (&StageConfig, Needs),
         depth: &mut Binder<'t, f32>,
         pose: &mut Binder<'t, f32>,
     ) -> Outputs<'t> {
         let images = &batch.seen;
         let n = batch.names.len();
-        let with_sources = objective::needs_source_depth(stage);
-        let detached = self.config.loss.geometric.detach_source_depth;
-        let together = with_sources && !detached;
+        let together = needs.source_depth == SourceDepth::Gradient;
         let seen = if together { join(&[&images.target, &images.previous, &images.next]) } else { images.target.clone() };
         let disparities = self.model.depth.forward(depth, tape.constant(seen));
-        let sources = with_sources.then(|| match together {
-            true => disparities[0].slice(0, n, 2 * n),
-            false => tape.constant(self.source_disparity(batch, stage.train_depth)),
-        });
-        let targets: Vec<_> = disparities.iter().take(self.config.loss.scales).map(|d| d.slice(0, 0, n)).collect();
+        let scales = || disparities.iter().take(self.config.loss.scales);
+        let source_disparities = match needs.source_depth {
+            SourceDepth::None => Vec::new(),
+            SourceDepth::Value => vec![tape.constant(self.source_disparity(batch, stage.train_depth))],
+            SourceDepth::Gradient => scales().map(|d| d.slice(0, n, 2 * n)).collect(),
+        };
+        let targets: Vec<_> = scales().map(|d| d.slice(0, 0, n)).collect();
         let depth = self.model.range.depth_values(&targets[0].value());
         let pairs = Pairs {
             target: &join(&[&images.target, &images.target]),
@@ -198,7 +226,7 @@ impl Trainer {
             cameras: &[&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
         };
         let motion = self.model.source_from_target(pose, &pairs, self.config.nets.pose_iterations);
-        Outputs { disparities: targets, source_disparity: sources, motion }
+        Outputs { disparities: targets, source_disparities, motion, flow: None }
     }
 
     /// Disparities of the sources, previous ones first, `[2 n, 1, h, w]`: values only, on a tape that is gone afterwards.
@@ -209,8 +237,8 @@ impl Trainer {
         self.model.depth.forward(&mut net, tape.constant(images))[0].value()
     }
 
-    /// Loss of the flow network on some pairs of the batch, and the gradients of its weights.
-    fn flow_gradients(&self, batch: &Batch) -> Result<(TermReport, Vec<ParamGradient<f32>>), Failure> {
+    /// The flow network's own terms on some pairs of the batch, and the gradients of its weights.
+    fn flow_gradients(&self, batch: &Batch) -> Result<(Vec<TermReport>, Vec<ParamGradient<f32>>), Failure> {
         let tape = Tape::with_pool(self.pool.clone());
         let net = Binder::new(&tape, &self.weights.flow, Mode::Train);
         let settings = &self.config.loss.flow;
@@ -218,27 +246,32 @@ impl Trainer {
         let part = |x: &Tensor<f32>| tape.constant(x.clone()).slice(0, 0, pairs);
         let (target, next) = (part(&batch.plain.target), part(&batch.plain.next));
         let flows = self.model.flow.forward(&net, target, next, self.model.flow_iterations);
-        let loss = crate::losses::flow_photometric::flow_photometric(&flows, target, next, settings.smoothness);
-        let value = f64::from(loss.value().item());
-        let term = TermReport { name: "l_flow".into(), weight: 1.0, value, valid: 1.0, gradients: None };
-        if !value.is_finite() {
-            return Err(Failure { what: "value", term: term.name, sample: None });
-        }
-        Ok((term, net.gradients(&tape.backward_and_free(loss))))
+        let back = objective::flow::needs_flow_back(settings)
+            .then(|| self.model.flow.forward(&net, next, target, self.model.flow_iterations));
+        let (loss, terms) = objective::flow::measure(settings, [target, next], &flows, back.as_deref())?;
+        Ok((terms, net.gradients(&tape.backward_and_free(loss))))
     }
 }
 
 /// What the losses of depth and motion say.
 struct Scene {
-    terms: Vec<TermReport>,
-    total: f64,
-    depth: Vec<ParamGradient<f32>>,
-    pose: Vec<ParamGradient<f32>>,
+    losses: LossReport,
+    /// Of the weights of depth, pose and flow network.
+    gradients: [Vec<ParamGradient<f32>>; 3],
     statistics: [Vec<StatisticsUpdate<f32>>; 2],
 }
 
 fn binder<'t>(tape: &'t Tape<f32>, params: &ParamSet<f32>, train: bool) -> Binder<'t, f32> {
     if train { Binder::new(tape, params, Mode::Train) } else { Binder::frozen(tape, params) }
+}
+
+/// The sums of two lists of gradients of one network, the second of which may be empty.
+fn added(mut own: Vec<ParamGradient<f32>>, more: Vec<ParamGradient<f32>>) -> Vec<ParamGradient<f32>> {
+    for (own, more) in own.iter_mut().zip(more) {
+        let sum = own.gradient.data().iter().zip(more.gradient.data()).map(|(a, b)| a + b).collect();
+        own.gradient = Tensor::from_vec(own.gradient.shape(), sum);
+    }
+    own
 }
 
 /// Steps every parameter of one network.
@@ -276,6 +309,7 @@ mod tests {
     use crate::data::Dataset;
     use crate::run::trained::weight_tensors;
     use crate::run::training_frames;
+    use crate::teacher::Teacher;
 
     struct Setting {
         config: Config,
@@ -296,10 +330,10 @@ mod tests {
             let mut config = self.config.clone();
             change(&mut config.nets);
             let trainer = Trainer::new(&config, Model::new(&config.nets).init(3), State::default());
-            let batch = Batch::load(self.frames.as_ref(), &[(0, 1)], &config.train, 1, 0).unwrap();
+            let batch = Batch::load(self.frames.as_ref(), &[(0, 1)], (&config.train, &Teacher::None), 1, 0).unwrap();
             let tape = Tape::new();
             let [mut depth, mut pose] = [&trainer.weights.depth, &trainer.weights.pose].map(|set| binder(&tape, set, true));
-            trainer.run_networks(&tape, &batch, &config.train.stages[0], &mut depth, &mut pose).motion.to_se3()
+            trainer.run_networks(&tape, &batch, (&config.train.stages[0], Needs::default()), &mut depth, &mut pose).motion.to_se3()
         }
     }
 
@@ -318,7 +352,7 @@ mod tests {
     #[test]
     fn a_step_to_weights_beyond_use_changes_nothing() {
         let setting = Setting::new();
-        let batch = Batch::load(setting.frames.as_ref(), &[(0, 1)], &setting.config.train, 1, 0).unwrap();
+        let batch = Batch::load(setting.frames.as_ref(), &[(0, 1)], (&setting.config.train, &Teacher::None), 1, 0).unwrap();
         let weights = Model::new(&setting.config.nets).init(3);
         let mut trainer = Trainer::new(&setting.config, weights.clone(), State::default());
         for rate in [1e25, 1e39] {

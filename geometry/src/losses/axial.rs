@@ -3,6 +3,7 @@
 use dimode_autodiff::{Scalar, Tensor, Var};
 use serde::{Deserialize, Serialize};
 
+use super::arccos::arccos;
 use super::pair::AxialProducts;
 use super::{AlignedPair, Angles, LossOptions, LossTerm};
 use crate::taped::masks;
@@ -72,10 +73,9 @@ fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Angles<'t, T> {
     let (u, v) = (part(0), part(1));
     let (d_u, d_v) = (pair.constant(&pair.d_u), pair.constant(&pair.d_v));
     let sizes = length(u, v, 0.0).mul(pair.constant(&pair.radius_from(1e-12)));
-    let cosine = u.mul(d_u).add(v.mul(d_v)).div(sizes).clamp(-1.0, 1.0);
-    // Outside the mask the angle takes the constant cosine 0.5: no infinite derivative.
-    let angle = pair.keep(cosine, &mask, 0.5).acos();
-    Angles { angle, mask }
+    let cosine = u.mul(d_u).add(v.mul(d_v)).div(sizes);
+    // Outside the mask the angle takes the constant cosine 0.5.
+    Angles { angle: arccos(pair.keep(cosine, &mask, 0.5)), mask }
 }
 
 fn angle<'t, T: Scalar>(

@@ -11,6 +11,7 @@
 //! Arguments at pixels outside a mask are replaced by constants before any division, root or angle, so
 //! neither values nor gradients of unusable pixels can spread.
 
+mod arccos;
 pub mod axial;
 #[cfg(test)]
 mod laws;

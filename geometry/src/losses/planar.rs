@@ -3,6 +3,7 @@
 use dimode_autodiff::{Scalar, Tensor, Var};
 use serde::{Deserialize, Serialize};
 
+use super::arccos::arccos;
 use super::{AlignedPair, Angles, LossOptions, LossTerm};
 use crate::taped::masks;
 use crate::taped::smooth::{length, soft_abs};
@@ -12,7 +13,8 @@ use crate::taped::weighted::{weighted_mean, weighted_variance};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlanarForm {
-    /// Variance of `arccos(f_u / |f|)`, rad^2, as printed. The derivative is infinite for horizontal flows.
+    /// Variance of `arccos(f_u / |f|)`, rad^2, as printed. The derivative grows without bound towards horizontal flows and is
+    /// taken as 0 at them.
     Literal,
     /// Variance of the same angle by `atan2(|f_v|, f_u)` over flows longer than `tau_flow`, rad^2.
     Robust,
@@ -63,8 +65,7 @@ fn components<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>) -> (Va
 fn literal<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Angles<'t, T> {
     let mask = longer_than(pair, 0.0);
     let (u, v) = components(pair, &mask);
-    let cosine = u.div(length(u, v, 0.0)).clamp(-1.0, 1.0);
-    Angles { angle: cosine.acos(), mask }
+    Angles { angle: arccos(u.div(length(u, v, 0.0))), mask }
 }
 
 fn robust<'t, T: Scalar>(pair: &AlignedPair<'t, T>, tau_flow: f64) -> Angles<'t, T> {

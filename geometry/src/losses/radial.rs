@@ -71,6 +71,19 @@ fn recoverable<T: Scalar>(pair: &AlignedPair<'_, T>, base: &Tensor<T>, q_min: f6
     })
 }
 
+/// Pixels off the principal point, but for those whose flow ends on it to the last bit: nothing can be recovered there.
+fn off_the_principal_point<T: Scalar>(pair: &AlignedPair<'_, T>, base: &Tensor<T>) -> Tensor<T> {
+    let (flow, d_u, d_v) = (pair.axial_flow.value(), &pair.d_u, &pair.d_v);
+    masks::and_where(base, |n| {
+        let (x, y) = (d_u.plane(n, 0), d_v.plane(n, 0));
+        let (u, v) = (flow.plane(n, 0), flow.plane(n, 1));
+        move |i| {
+            let squares = x[i] * x[i] + y[i] * y[i];
+            squares > T::ZERO && x[i] * u[i] + y[i] * v[i] + squares != T::ZERO
+        }
+    })
+}
+
 fn radius_squared<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Var<'t, T> {
     pair.constant(&pair.d_u).square().add(pair.constant(&pair.d_v).square())
 }
@@ -101,10 +114,7 @@ pub(super) fn axis_ratio<'t, T: Scalar>(
     let ratio = along.add(radius_squared(pair)).div(along).neg();
     let mask = match robust {
         Some(o) => recoverable(pair, base, o.q_min, o.tau_ratio),
-        None => masks::and_where(base, |n| {
-            let radius = radius.plane(n, 0);
-            move |i| radius[i] > T::ZERO
-        }),
+        None => off_the_principal_point(pair, base),
     };
     RatioTerm::new(pair, Ratio { ratio, divisible, inverse: recovered(pair, &mask), mask }, 2, robust)
 }

@@ -17,7 +17,8 @@ pub struct RatioTerm<'t, T: Scalar> {
     pub pixel_error: Var<'t, T>,
     /// `E[z / rho]`, the recovered component of the translation, (N,1,1,1).
     pub recovered: Var<'t, T>,
-    /// `C = |(E[z / rho] - a) / a|`; in the robust form over `max(|a_k|, tau_translation, kappa |a|)`, (N,1,1,1).
+    /// `C = |(E[z / rho] - a) / a|`, 0 where `a` is exactly 0; in the robust form over `max(|a_k|, tau_translation, kappa |a|)`,
+    /// (N,1,1,1).
     pub aggregate_error: Var<'t, T>,
     /// Pixels of [`RatioTerm::recovered`], (N,1,H,W).
     pub mask: Tensor<T>,
@@ -56,7 +57,11 @@ impl<'t, T: Scalar> RatioTerm<'t, T> {
         let recovered = weighted_mean(of.inverse, &of.mask);
         let difference = recovered.sub(a);
         let aggregate_error = match robust {
-            None => difference.div(a).abs(),
+            None => {
+                let moves = nonzero(&a.value());
+                let part = |x: Var<'t, T>, filler| x.select(&moves, pair.constant(&Tensor::full(x.shape(), T::from_f64(filler))));
+                part(difference, 0.0).div(part(a, 1.0)).abs()
+            }
             Some(options) => difference.abs().div(a.abs().maximum(smallest_divisor(pair, options))),
         };
         Self { ratio: of.ratio, pixels, pixel_error, recovered, aggregate_error, mask: of.mask }
@@ -84,6 +89,11 @@ fn pixel_error<'t, T: Scalar>(
         move |i| gate.is_none_or(|gate| errors[i].to_f64() < gate)
     });
     (weighted_mean(error, &kept), kept)
+}
+
+/// 1 where an entry is not 0.
+fn nonzero<T: Scalar>(x: &Tensor<T>) -> Tensor<T> {
+    Tensor::from_vec(x.shape(), x.data().iter().map(|&x| if x == T::ZERO { T::ZERO } else { T::ONE }).collect())
 }
 
 /// `max(tau_translation, kappa |a|)` of every sample, without gradient.

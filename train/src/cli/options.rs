@@ -3,10 +3,9 @@
 use std::str::FromStr;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use dimode_geometry::losses::LossOptions;
 
 use super::failure::UsageError;
-use crate::config::Preset;
+use crate::config::{LossPreset, Preset};
 
 /// Width and height in pixels, written `128x64`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,36 +41,9 @@ impl FromStr for Stages {
     }
 }
 
-/// Forms of the four geometric losses as a whole, written `default` or `literal`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LossForms {
-    /// Those that training uses when nothing else is asked for.
-    Default,
-    /// Exactly as the equations are printed.
-    Literal,
-}
-
-impl LossForms {
-    /// The settings behind the name.
-    pub fn options(self) -> LossOptions {
-        match self {
-            Self::Default => LossOptions::default(),
-            Self::Literal => LossOptions::literal(),
-        }
-    }
-}
-
-impl FromStr for LossForms {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "default" => Ok(Self::Default),
-            "literal" => Ok(Self::Literal),
-            "robust" => Err("a form of single terms (--set loss.geometric.planar=robust), not of all; write default".to_owned()),
-            _ => Err("use default or literal".to_owned()),
-        }
-    }
+/// Name of a method whose loss a run takes.
+pub fn loss() -> impl TypedValueParser<Value = LossPreset> {
+    PossibleValuesParser::new(LossPreset::ALL.map(LossPreset::name)).try_map(|name| name.parse::<LossPreset>())
 }
 
 /// Name of a kind of world.
@@ -109,14 +81,5 @@ mod tests {
         assert!("1,".parse::<Stages>().is_err() && "one".parse::<Stages>().is_err());
         assert!(threads("0").is_err() && threads("x").is_err());
         assert_eq!(threads("2"), Ok(2));
-    }
-
-    #[test]
-    fn the_losses_have_two_names() {
-        assert_eq!("default".parse(), Ok(LossForms::Default));
-        assert_eq!("literal".parse(), Ok(LossForms::Literal));
-        let refusal = |text: &str| text.parse::<LossForms>().unwrap_err();
-        assert!(refusal("robust").contains("write default"), "{}", refusal("robust"));
-        assert_eq!(refusal("pixels"), "use default or literal");
     }
 }

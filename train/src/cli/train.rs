@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::failure::Exit;
-use super::options::{LossForms, Size, Stages, preset};
+use super::options::{Size, Stages, loss, preset};
 use super::{interrupt, output, summary};
-use crate::config::{Config, FirstWeights, Preset, StageConfig};
+use crate::config::{Config, FirstWeights, LossPreset, Preset};
 use crate::progress::{Bar, Progress};
 use crate::run::{self, RunFolder, Start, TrainOutcome, TrainRequest};
 
@@ -30,9 +30,9 @@ Examples:
   dimode train --quick                          small and short: a first look
   dimode train --preset handheld --seed 2       another world, another seed
   dimode train --stages 1                       all steps in stage 1, for comparison
-  dimode train --loss literal --out runs/literal
+  dimode train --loss monodepth2                another method's loss on the same networks and data
   dimode train --data kitti --sequences 09 --size 192x64
-  dimode train --set train.warmup=50 --set loss.smoothness=0.002
+  dimode train --set train.warmup=50 --set loss.smoothness=0.002 --set train.stages.3.lambda2=0.2
   dimode train --print-config > my.toml         a file to edit; then: dimode train --config my.toml
   dimode train --resume runs/train-street-s1    go on after Ctrl-C or a crash, with the same bits
 
@@ -75,12 +75,12 @@ pub struct TrainArgs {
     /// Stages to train: 1, 1,2 or 1,2,3; the steps of the others go to the last one named
     #[arg(long, value_name = "LIST")]
     stages: Option<Stages>,
-    /// Lengths of the stages (5, 10, 15 of 30 epochs) and learning rate (1e-4) of the paper, meant for pre-trained encoders
+    /// Lengths of three stages (5, 10, 15 of 30 epochs) and learning rate (1e-4) of the paper, meant for pre-trained encoders
     #[arg(long)]
     paper_schedule: bool,
-    /// Forms of the geometric losses: default (pixels of flow, in the consistent frame) or literal (as printed)
-    #[arg(long, value_name = "FORMS")]
-    loss: Option<LossForms>,
+    /// Loss and stages of a method [default: dimode]
+    #[arg(long, value_name = "NAME", value_parser = loss())]
+    loss: Option<LossPreset>,
     /// First weights of the flow network: embedded, random or a file
     #[arg(long, value_name = "WHICH")]
     flow_weights: Option<FirstWeights>,
@@ -167,9 +167,11 @@ impl TrainArgs {
             (data.width, data.height) = (width, height);
         }
         replace(&mut config.seed, self.seed);
+        if let Some(loss) = self.loss {
+            loss.apply(config);
+        }
         if self.paper_schedule {
-            config.train.stages = StageConfig::paper();
-            (config.train.learning_rate, config.train.pose_rate) = (1e-4, 1.0);
+            config.train.use_paper_schedule();
         }
         replace(&mut config.train.steps, self.steps);
         replace(&mut config.train.batch, self.batch);
@@ -179,7 +181,6 @@ impl TrainArgs {
         if let Some(Stages(numbers)) = &self.stages {
             config.train.only_stages = Some(numbers.clone());
         }
-        replace(&mut config.loss.geometric, self.loss.map(LossForms::options));
     }
 }
 
@@ -257,21 +258,28 @@ mod tests {
 
     #[test]
     fn stages_and_forms_are_taken() {
-        let config = settings(&["--stages", "1", "--loss", "literal", "--size", "96x64"]).unwrap();
+        let config = settings(&["--stages", "1", "--loss", "dimode-literal", "--size", "96x64"]).unwrap();
         assert_eq!(config.train.only_stages, Some(vec![1]));
         assert_eq!(config.loss.geometric, LossOptions::literal());
         assert_eq!((config.data.width, config.data.height), (96, 64));
-        assert_eq!(RunFolder::default_path(&config), PathBuf::from("runs/train-street-s1-stages1-literal"));
+        assert_eq!(RunFolder::default_path(&config), PathBuf::from("runs/train-street-s1-stages1-dimode-literal"));
         assert!(settings(&["--stages", "4"]).unwrap_err().to_string().contains("train.only_stages"));
     }
 
     #[test]
-    fn the_default_loss_wins_over_the_file() {
+    fn the_loss_of_the_flag_wins_over_the_file_and_single_settings_over_the_flag() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("run.toml");
         std::fs::write(&file, "[loss.geometric]\nplanar = \"robust\"\nkappa = 0.5\n").unwrap();
-        let config = settings(&["--config", file.to_str().unwrap(), "--loss", "default"]).unwrap();
-        assert_eq!(config, Config::default());
+        let file = file.to_str().unwrap();
+        assert_eq!(settings(&["--config", file, "--loss", "dimode"]).unwrap(), Config::default());
+        assert_eq!(settings(&["--config", file, "--loss", "df-net"]).unwrap(), LossPreset::DfNet.config());
+        let set = ["--loss", "dcpi", "--set", "train.stages.2.contextual=0.5"];
+        let mut expected = LossPreset::Dcpi.config();
+        expected.train.stages[1].contextual = 0.5;
+        assert_eq!(settings(&set).unwrap(), expected);
+        assert_eq!(settings(&["--set", "loss.preset=dcpi", set[2], set[3]]).unwrap(), expected);
+        assert!(settings(&["--loss", "literal"]).is_err());
     }
 
     #[test]

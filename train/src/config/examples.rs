@@ -1,6 +1,6 @@
 //! Settings whose default shows nothing: no value at all, or an empty list.
 
-use toml::{Table, Value};
+use toml::Table;
 
 use super::Config;
 
@@ -14,9 +14,15 @@ struct Example {
     meaning: &'static str,
 }
 
-const EXAMPLES: [Example; 3] = [
+const EXAMPLES: [Example; 4] = [
     Example { table: "data", key: "path", value: r#""frames""#, meaning: "folder of real frames; without it the embedded world" },
     Example { table: "data", key: "sequences", value: r#"["00", "01"]"#, meaning: "sequences of the folder; without it all" },
+    Example {
+        table: "loss.local_structure",
+        key: "folder",
+        value: r#""teacher""#,
+        meaning: "folder of pseudo-depth maps for pseudo_depth = \"folder\"",
+    },
     Example {
         table: "train",
         key: "only_stages",
@@ -27,7 +33,10 @@ const EXAMPLES: [Example; 3] = [
 
 /// The pretty `text` of a configuration, with a comment in place of every setting that it does not name.
 pub(super) fn add_unset(text: String, config: &Table) -> String {
-    let is_unset = |example: &&Example| config.get(example.table).is_some_and(|table| table.get(example.key).is_none());
+    let is_unset = |example: &&Example| {
+        let table = example.table.split('.').try_fold(config, |table, name| table.get(name)?.as_table());
+        table.is_some_and(|table| table.get(example.key).is_none())
+    };
     EXAMPLES.iter().filter(is_unset).fold(text, |text, Example { table, key, value, meaning }| {
         let head = format!("\n[{table}]\n");
         text.replacen(&head, &format!("{head}# {key} = {value}  # {meaning}\n"), 1)
@@ -39,8 +48,8 @@ pub(super) fn every_setting() -> Table {
     let mut all = Table::try_from(Config::default()).expect("a configuration holds only what TOML can hold");
     for Example { table, key, value, .. } in EXAMPLES {
         let line: Table = toml::from_str(&format!("{key} = {value}")).expect("the examples are TOML");
-        let Some(Value::Table(table)) = all.get_mut(table) else { continue };
-        table.extend(line);
+        let place = table.split('.').try_fold(&mut all, |table, name| table.get_mut(name)?.as_table_mut());
+        place.expect("the examples belong to tables").extend(line);
     }
     all
 }

@@ -1,46 +1,36 @@
-//! Terms of the loss that are not geometric, and how many sources and scales they use.
+//! Terms of the loss, and how many sources and scales they use.
 
 use dimode_geometry::losses::LossOptions;
 use serde::{Deserialize, Serialize};
 
 use super::error::{not_negative, require};
-use super::{ConfigError, geometric};
+use super::{ConfigError, FlowLossConfig, LocalStructure, LossPreset, Occlusion, geometric};
 
-/// A term of the local-structure loss.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// How views are compared by their colours: the form of `l_pho`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum LocalTerm {
-    /// Difference of the surface normals of predicted and pseudo-depth.
-    NormalMatching,
+pub enum Photometric {
+    /// The smallest error over both sources, as Monodepth2 and the paper.
+    #[default]
+    MinimumReprojection,
+    /// The best of both sources and both directions, weighted by the agreement of the depths, as sc_depth_pl.
+    ScDepth,
+    /// All pairs and directions added up, weighted by the agreement of the depths, as SC-SfMLearner-Release.
+    ScSfm,
 }
 
-/// Where the pseudo-depth of the local-structure loss comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// What the smoothness is measured on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum PseudoDepth {
-    /// No pseudo-depth: the loss is 0.
-    None,
-    /// The network's own disparity, smoothed with the picture as guide: needs no teacher.
-    SelfGuided,
+pub enum SmoothnessOf {
+    /// The disparity over its mean.
+    #[default]
+    Disparity,
+    /// The depth over its mean, as the SC-Depth programs.
+    Depth,
 }
 
-/// Settings of the local-structure loss.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LocalStructure {
-    /// Terms that are summed.
-    pub terms: Vec<LocalTerm>,
-    /// Source of the pseudo-depth.
-    pub pseudo_depth: PseudoDepth,
-}
-
-impl Default for LocalStructure {
-    fn default() -> Self {
-        Self { terms: vec![LocalTerm::NormalMatching], pseudo_depth: PseudoDepth::None }
-    }
-}
-
-/// Which neighbours of the target the geometric terms use.
+/// Which neighbours of the target the terms with optical flow use.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sources {
@@ -51,35 +41,39 @@ pub enum Sources {
     Next,
 }
 
-/// Training of the flow network in stages that train it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FlowLossConfig {
-    /// Pairs (target, next) of a batch that it sees in a step.
-    pub pairs: usize,
-    /// Weight of the second-order smoothness of the flow in pixels.
-    pub smoothness: f64,
-    /// Its learning rate as a share of the others': it starts from trained weights.
-    pub rate: f64,
-}
-
-impl Default for FlowLossConfig {
-    fn default() -> Self {
-        Self { pairs: 2, smoothness: 0.02, rate: 0.1 }
-    }
+/// Which depth flow and motion imply in DCPI-Depth's contextual-geometric consistency.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ContextualDepth {
+    /// By the radial part of the flow, the version of all published commands.
+    #[default]
+    Radial,
+    /// Triangulated from the sum of both image equations.
+    Triangulated,
 }
 
 /// Mean disparity at which the scale anchor holds a batch.
 pub const SCALE_ANCHOR: f64 = 0.2;
 
-/// Terms of the loss. Weights of the geometric and local terms belong to the stages ([`super::StageConfig`]).
+/// Terms of the loss with the weights that do not change over a run; those that do belong to the stages ([`super::StageConfig`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LossConfig {
-    /// Weight of the edge-aware smoothness of the disparity.
-    pub smoothness: f64,
-    /// Leave out pixels that the unmoved source already explains better (standing scenes, objects that move along).
+    /// The method that the loss and the stages start from; what the file names beside it changes single values.
+    pub preset: LossPreset,
+    /// Form of the photometric loss; its weight is 1.
+    pub photometric: Photometric,
+    /// Leave out pixels that the unmoved source already explains better (standing scenes, objects that move along). The other
+    /// forms than `minimum-reprojection` always do.
     pub auto_mask: bool,
+    /// Disparity scales in `minimum-reprojection`, smoothness and cross-task consistency, from the finest.
+    pub scales: usize,
+    /// Weight of the edge-aware smoothness.
+    pub smoothness: f64,
+    /// What it is measured on.
+    pub smoothness_of: SmoothnessOf,
+    /// Weight of the relative difference of the depths that two views see, SC-Depth's geometry consistency.
+    pub geometry_consistency: f64,
     /// Weight of the plain difference of rigid and optical flow, in pixels. Not a term of the paper: a competitor, off by
     /// default.
     pub flow_consistency: f64,
@@ -87,10 +81,12 @@ pub struct LossConfig {
     /// to a common scale of depth and translation, so this changes no solution; it keeps the sigmoid from saturating while
     /// the pose network knows nothing yet.
     pub scale_anchor: f64,
-    /// Disparity scales in the photometric loss, from the finest.
-    pub scales: usize,
-    /// Neighbours that the geometric terms use.
+    /// Neighbours that the geometric and contextual terms use.
     pub sources: Sources,
+    /// Where the optical flow is trusted in flow consistency and in the geometric terms, beside the static mask.
+    pub occlusion: Occlusion,
+    /// The depth that `contextual` of a stage compares with.
+    pub contextual: ContextualDepth,
     /// Local-structure loss.
     pub local_structure: LocalStructure,
     /// Training of the flow network.
@@ -101,30 +97,41 @@ pub struct LossConfig {
 
 impl Default for LossConfig {
     fn default() -> Self {
+        LossPreset::default().loss()
+    }
+}
+
+impl LossConfig {
+    /// What the presets have in common.
+    pub(super) fn plain() -> Self {
         Self {
-            smoothness: 1e-3,
+            preset: LossPreset::Dimode,
+            photometric: Photometric::MinimumReprojection,
             auto_mask: true,
+            scales: 1,
+            smoothness: 1e-3,
+            smoothness_of: SmoothnessOf::Disparity,
+            geometry_consistency: 0.0,
             flow_consistency: 0.0,
             scale_anchor: 0.1,
-            scales: 1,
             sources: Sources::Both,
+            occlusion: Occlusion::InView,
+            contextual: ContextualDepth::Radial,
             local_structure: LocalStructure::default(),
             flow: FlowLossConfig::default(),
             geometric: LossOptions::default(),
         }
     }
-}
 
-impl LossConfig {
     /// **Errors** [`ConfigError::Value`] for the first value out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         not_negative("loss.smoothness", self.smoothness)?;
+        not_negative("loss.geometry_consistency", self.geometry_consistency)?;
         not_negative("loss.flow_consistency", self.flow_consistency)?;
         not_negative("loss.scale_anchor", self.scale_anchor)?;
         require((1..=4).contains(&self.scales), "loss.scales", self.scales, "must be 1 to 4")?;
-        not_negative("loss.flow.rate", self.flow.rate)?;
-        require((1..=1024).contains(&self.flow.pairs), "loss.flow.pairs", self.flow.pairs, "must be 1 to 1024")?;
-        not_negative("loss.flow.smoothness", self.flow.smoothness)?;
+        self.local_structure.validate()?;
+        self.flow.validate()?;
         geometric::validate(&self.geometric)
     }
 }

@@ -8,10 +8,13 @@ mod data;
 mod error;
 mod eval;
 mod examples;
+mod flow_loss;
 mod geometric;
 mod kind;
+mod local_structure;
 mod loss;
 mod nets;
+mod preset;
 mod setting;
 mod suggest;
 mod train;
@@ -24,8 +27,11 @@ pub use crate::data::synthetic::Preset;
 pub use data::DataConfig;
 pub use error::ConfigError;
 pub use eval::EvalConfig;
-pub use loss::{FlowLossConfig, LocalStructure, LocalTerm, LossConfig, PseudoDepth, SCALE_ANCHOR, Sources};
+pub use flow_loss::{FlowData, FlowLossConfig, Occlusion};
+pub use local_structure::{DegradationConfig, LocalStructure, PseudoDepth};
+pub use loss::{ContextualDepth, LossConfig, Photometric, SCALE_ANCHOR, SmoothnessOf, Sources};
 pub use nets::{FirstWeights, NetsConfig};
+pub use preset::LossPreset;
 pub use suggest::nearest;
 pub use train::{Decay, StageConfig, TrainConfig};
 
@@ -84,9 +90,17 @@ impl Config {
     ///
     /// **Errors** [`ConfigError::UnknownKey`], [`ConfigError::UnknownName`], [`ConfigError::WrongKind`] or
     /// [`ConfigError::Syntax`], with the line. Ranges are not checked here but by [`Config::validate`], because flags may still
-    /// change values.
+    /// change values. What the file does not name has the value of the preset that it names, else the default.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, ConfigError> {
-        toml::from_str(text).map_err(|error| suggest::explain(&error, text, path))
+        let explain = |error: toml::de::Error| suggest::explain(&error, text, path);
+        let over_defaults: Self = toml::from_str(text).map_err(explain)?;
+        let preset = over_defaults.loss.preset;
+        if preset == LossPreset::default() {
+            return Ok(over_defaults);
+        }
+        let mut table = preset.config().to_table();
+        setting::merge(&mut table, toml::from_str(text).map_err(explain)?);
+        Self::from_table(table, &path.display().to_string())
     }
 
     /// The configuration in a TOML table; `origin` is used in messages.
@@ -112,8 +126,7 @@ impl Config {
         let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         let config = Self::from_toml(&text, path)?;
         let given: toml::Table = toml::from_str(&text).expect("read before");
-        let whole = toml::Table::try_from(&config).expect("a configuration holds only what TOML can hold");
-        match missing(&whole, &given, "") {
+        match missing(&config.to_table(), &given, "") {
             Some((key, default)) => Err(ConfigError::MissingKey { path: path.to_owned(), key, default }),
             None => Ok(config),
         }
@@ -122,15 +135,20 @@ impl Config {
     /// The configuration as TOML, with a comment for each setting that has no value; [`Config::from_toml`] gives back an equal
     /// one.
     pub fn to_toml(&self) -> String {
-        let whole = toml::Table::try_from(self).expect("a configuration holds only what TOML can hold");
         let text = toml::to_string_pretty(self).expect("a configuration holds only what TOML can hold");
-        examples::add_unset(text, &whole)
+        examples::add_unset(text, &self.to_table())
+    }
+
+    /// The configuration as a TOML table.
+    fn to_table(&self) -> toml::Table {
+        toml::Table::try_from(self).expect("a configuration holds only what TOML can hold")
     }
 
     /// The same settings with absolute paths: a run may go on from another working directory.
     pub fn with_absolute_paths(mut self) -> Self {
         let absolute = |path: &mut PathBuf| *path = std::path::absolute(&*path).unwrap_or_else(|_| path.clone());
         self.data.path.as_mut().map(absolute);
+        self.loss.local_structure.folder.as_mut().map(absolute);
         for weights in [&mut self.nets.flow_weights, &mut self.nets.pose_weights] {
             if let FirstWeights::File(path) = weights {
                 absolute(path);
@@ -148,7 +166,16 @@ impl Config {
         self.nets.validate()?;
         self.loss.validate()?;
         self.train.validate()?;
-        self.eval.validate()
+        self.eval.validate()?;
+        self.validate_together()
+    }
+
+    /// What one group asks of another.
+    fn validate_together(&self) -> Result<(), ConfigError> {
+        let rendered = self.loss.local_structure.pseudo_depth == PseudoDepth::Rendered;
+        let key = "loss.local_structure.pseudo_depth";
+        let advice = "only the embedded world is rendered; with data.path choose folder, self-guided or none";
+        error::require(!rendered || self.data.path.is_none(), key, "rendered", advice)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::ConfigError;
+use super::{ConfigError, LossPreset};
 use super::error::{fraction, not_negative, positive, require};
 
 /// How the learning rate falls after the warm-up.
@@ -33,6 +33,18 @@ pub struct StageConfig {
     /// Weight of the local-structure loss.
     #[serde(default)]
     pub lambda3: f64,
+    /// Weight of DF-Net's cross-task consistency of rigid and optical flow.
+    #[serde(default)]
+    pub cross_task: f64,
+    /// Weight of DCPI-Depth's contextual-geometric depth consistency.
+    #[serde(default)]
+    pub contextual: f64,
+    /// Weight of its relative difference of optical and rigid flow, which teaches the flow network only.
+    #[serde(default)]
+    pub rigid: f64,
+    /// Weight of its agreement of the flow's divergence with the slope of the depth.
+    #[serde(default)]
+    pub divergence: f64,
     /// Train the flow network.
     #[serde(default)]
     pub train_flow: bool,
@@ -49,9 +61,30 @@ fn yes() -> bool {
 }
 
 impl StageConfig {
-    /// The three stages as the paper has them: 5, 10 and 15 of 30 epochs.
+    /// A stage of `l_pho` alone that trains depth and pose.
+    pub fn new(name: &str, share: f64) -> Self {
+        Self {
+            name: name.to_owned(),
+            share,
+            lambda1: 0.0,
+            lambda2: 0.0,
+            lambda3: 0.0,
+            cross_task: 0.0,
+            contextual: 0.0,
+            rigid: 0.0,
+            divergence: 0.0,
+            train_flow: false,
+            train_depth: true,
+            train_pose: true,
+        }
+    }
+
+    /// Lengths of the paper's three stages in epochs, 30 together.
+    pub const PAPER_PARTS: [f64; 3] = [5.0, 10.0, 15.0];
+
+    /// The three stages as the paper has them.
     pub fn paper() -> Vec<Self> {
-        Self::three([5.0, 10.0, 15.0])
+        Self::three(Self::PAPER_PARTS)
     }
 
     /// The same stages for small networks without pre-trained encoders, which learn little from `l_pho` alone and most from
@@ -64,14 +97,11 @@ impl StageConfig {
     /// after. `parts` are the lengths in thirtieths of all steps.
     fn three(parts: [f64; 3]) -> Vec<Self> {
         let stage = |name: &str, parts: f64, lambda1, lambda2, train_flow| Self {
-            name: name.to_owned(),
-            share: parts / 30.0,
             lambda1,
             lambda2,
             lambda3: 0.01,
             train_flow,
-            train_depth: true,
-            train_pose: true,
+            ..Self::new(name, parts / 30.0)
         };
         vec![
             stage("1 joint", parts[0], 0.0, 0.0, true),
@@ -139,12 +169,22 @@ impl Default for TrainConfig {
             jitter: true,
             checkpoint_every: 250,
             only_stages: None,
-            stages: StageConfig::nano(),
+            stages: LossPreset::default().stages(),
         }
     }
 }
 
 impl TrainConfig {
+    /// The paper's lengths, where there are three stages, and its one learning rate for all networks.
+    pub fn use_paper_schedule(&mut self) {
+        if self.stages.len() == StageConfig::PAPER_PARTS.len() {
+            for (stage, parts) in self.stages.iter_mut().zip(StageConfig::PAPER_PARTS) {
+                stage.share = parts / 30.0;
+            }
+        }
+        (self.learning_rate, self.pose_rate) = (1e-4, 1.0);
+    }
+
     /// **Errors** [`ConfigError::Value`] for the first value out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         require((1..=1 << 32).contains(&self.steps), "train.steps", self.steps, "must be 1 to 4294967296")?;
@@ -171,6 +211,10 @@ impl TrainConfig {
             not_negative("train.stages.lambda1", stage.lambda1)?;
             not_negative("train.stages.lambda2", stage.lambda2)?;
             not_negative("train.stages.lambda3", stage.lambda3)?;
+            not_negative("train.stages.cross_task", stage.cross_task)?;
+            not_negative("train.stages.contextual", stage.contextual)?;
+            not_negative("train.stages.rigid", stage.rigid)?;
+            not_negative("train.stages.divergence", stage.divergence)?;
             let any = stage.train_depth || stage.train_pose || stage.train_flow;
             require(any, "train.stages", &stage.name, "a stage must train at least one network")?;
         }

@@ -89,6 +89,12 @@ impl Map {
         Self { height, width, data }
     }
 
+    /// The mirror image: the first column becomes the last.
+    pub fn flip_horizontal(&self) -> Self {
+        let data = self.data.chunks_exact(self.width).flat_map(|row| row.iter().rev()).copied().collect();
+        Self { data, ..*self }
+    }
+
     /// The value at (row, column).
     ///
     /// **Panics** outside the map.

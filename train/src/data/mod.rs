@@ -47,4 +47,4 @@ pub use options::{KittiCamera, LoadOptions};
 pub use poses::{format_poses, parse_poses, read_poses};
 pub use resample::{resize_image, resize_map_nearest};
 pub use times::read_times;
-pub use view::View;
+pub use view::{View, crop_map_to_shape};

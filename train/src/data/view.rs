@@ -53,9 +53,7 @@ impl View {
             width > 0 && height > 0 && x0 + width <= old_width && y0 + height <= old_height,
             "View::crop: {width}x{height} at ({x0}, {y0}) of {old_width}x{old_height}"
         );
-        let rows = |plane: &[f32]| -> Vec<f32> {
-            (y0..y0 + height).flat_map(|v| &plane[v * old_width + x0..][..width]).copied().collect()
-        };
+        let rows = |plane: &[f32]| window(plane, old_width, [x0, y0, width, height]);
         let data = (0..self.image.channels).flat_map(|c| rows(self.image.plane(c))).collect();
         Self {
             image: Image::from_vec(self.image.channels, height, width, data),
@@ -75,17 +73,29 @@ impl View {
 
     /// The mirror image: u becomes W - 1 - u, and so does the principal point.
     pub fn flip_horizontal(&self) -> Self {
-        let flip = |data: &[f32], width: usize| -> Vec<f32> {
-            data.chunks_exact(width).flat_map(|row| row.iter().rev()).copied().collect()
-        };
         let image = &self.image;
-        let data = flip(&image.data, image.width);
+        let data = image.data.chunks_exact(image.width).flat_map(|row| row.iter().rev()).copied().collect();
         Self {
             image: Image::from_vec(image.channels, image.height, image.width, data),
             intrinsics: self.intrinsics.flipped_horizontal(),
-            depth: self.depth.as_ref().map(|map| Map::from_vec(map.height, map.width, flip(&map.data, map.width))),
+            depth: self.depth.as_ref().map(Map::flip_horizontal),
         }
     }
+}
+
+/// The part of a map in the largest centred window with the shape (width to height) of the given size, as
+/// [`View::center_crop_to_shape`] cuts it.
+///
+/// **Panics** when the size is empty.
+#[track_caller]
+pub fn crop_map_to_shape(map: &Map, width: usize, height: usize) -> Map {
+    let (x0, y0, w, h) = center_window(map.width, map.height, width, height);
+    Map::from_vec(h, w, window(&map.data, map.width, [x0, y0, w, h]))
+}
+
+/// The window of a plane, row by row.
+fn window(plane: &[f32], old_width: usize, [x0, y0, width, height]: [usize; 4]) -> Vec<f32> {
+    (y0..y0 + height).flat_map(|v| &plane[v * old_width + x0..][..width]).copied().collect()
 }
 
 /// (x0, y0, width, height) of the largest centred window of an image with the shape of another size.

@@ -9,6 +9,7 @@ use dimode_autodiff::{Scalar, Tensor, Var};
 use dimode_geometry::taped::weighted::weighted_mean;
 use dimode_geometry::taped::{masks, visibility, warp};
 
+use super::census::{CensusForm, census};
 use super::flow_smoothness::{FlowSmoothness, flow_smoothness};
 use super::photometric::photometric;
 use super::raft_sequence::GAMMA;
@@ -61,7 +62,7 @@ pub fn flow_photometric<'t, T: Scalar>(
     flow_photometric_where(flows, target, source, smoothness, Visibility::InView)
 }
 
-/// [`flow_photometric`] over the visible pixels.
+/// [`flow_photometric`] over the visible pixels: [`flow_data`] with [`FlowDataTerm::Photometric`].
 ///
 /// **Gradient**: to the flows and the images; none through the choice of pixels. Pixels that are not visible have none of the
 /// photometric term, and an image without a visible pixel counts 0.
@@ -76,12 +77,47 @@ pub fn flow_photometric_where<'t, T: Scalar>(
     smoothness: f64,
     visible: Visibility<'_, T>,
 ) -> Var<'t, T> {
+    flow_data(FlowDataTerm::Photometric, flows, [target, source], smoothness, visible)
+}
+
+/// How the warped source is compared with the target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FlowDataTerm {
+    /// Mean of [`photometric`] over the visible pixels of each image.
+    Photometric,
+    /// [`census`] over the visible pixels of the batch.
+    Census(CensusForm),
+}
+
+impl FlowDataTerm {
+    fn measure<'t, T: Scalar>(self, warped: Var<'t, T>, target: Var<'t, T>, weights: &Tensor<T>) -> Var<'t, T> {
+        match self {
+            Self::Photometric => weighted_mean(photometric(warped, target), weights).mean(),
+            Self::Census(form) => census(warped, target, weights, form),
+        }
+    }
+}
+
+/// The same sum over successive flows with any data term; `images` are target and source.
+///
+/// **Gradient**: to the flows and the images; none through the choice of pixels.
+///
+/// # Panics
+/// When there is no flow or shapes differ.
+#[track_caller]
+pub fn flow_data<'t, T: Scalar>(
+    data: FlowDataTerm,
+    flows: &[Var<'t, T>],
+    [target, source]: [Var<'t, T>; 2],
+    smoothness: f64,
+    visible: Visibility<'_, T>,
+) -> Var<'t, T> {
     assert!(!flows.is_empty(), "flow_photometric: at least one flow");
     let tape = target.tape();
     let mut total = tape.constant(Tensor::scalar(T::ZERO));
     for (i, &flow) in flows.iter().enumerate() {
-        let error = photometric(warp(source, flow, SamplePadding::Border), target);
-        let seen = weighted_mean(error, &visible.weights(&flow.value())).mean();
+        let warped = warp(source, flow, SamplePadding::Border);
+        let seen = data.measure(warped, target, &visible.weights(&flow.value()));
         let smooth = flow_smoothness(flow, &target.value(), FlowSmoothness::Second { edge: EDGE }).scale(smoothness);
         total = total.add(seen.add(smooth).scale(GAMMA.powi((flows.len() - 1 - i) as i32)));
     }

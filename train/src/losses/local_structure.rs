@@ -6,31 +6,8 @@
 use dimode_autodiff::{Conv2d, PadMode, Scalar, Shape, Tensor, Var};
 use dimode_geometry::Intrinsics;
 
-use super::guided_filter::self_guided;
-use crate::config::{LocalStructure, LocalTerm, PseudoDepth};
-
 /// Guard of the normalisation, squared.
 const TINY: f64 = 1e-24;
-
-/// The loss of depth maps `[n, 1, h, w]` under images `[n, 3, h, w]`; `None` when the settings ask for nothing.
-///
-/// # Panics
-/// When sizes differ.
-pub fn local_structure<'t, T: Scalar>(
-    settings: &LocalStructure,
-    depth: Var<'t, T>,
-    images: &Tensor<T>,
-    cameras: &[Intrinsics],
-) -> Option<Var<'t, T>> {
-    let pseudo = match settings.pseudo_depth {
-        PseudoDepth::None => return None,
-        PseudoDepth::SelfGuided => self_guided(&depth.value(), images),
-    };
-    let parts = settings.terms.iter().map(|term| match term {
-        LocalTerm::NormalMatching => normal_matching(depth, &pseudo, cameras),
-    });
-    parts.reduce(|a, b| a.add(b))
-}
 
 /// Mean absolute difference of the normals of `depth` and `pseudo`, both `[n, 1, h, w]`.
 pub fn normal_matching<'t, T: Scalar>(depth: Var<'t, T>, pseudo: &Tensor<T>, cameras: &[Intrinsics]) -> Var<'t, T> {

@@ -4,10 +4,9 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use dimode_geometry::losses::LossOptions;
 use thiserror::Error;
 
-use crate::config::{Config, ConfigError, StageConfig};
+use crate::config::{Config, ConfigError, LossPreset, StageConfig};
 use crate::data::{DataError, write_atomic};
 
 /// Why a folder cannot take or give a run.
@@ -99,11 +98,12 @@ impl RunFolder {
             let numbers: Vec<String> = only.iter().map(usize::to_string).collect();
             name += &format!("-stages{}", numbers.join(""));
         }
-        if config.train.stages == StageConfig::paper() {
-            name += "-paper";
+        if config.loss.preset != LossPreset::default() {
+            name += &format!("-{}", config.loss.preset);
         }
-        if config.loss.geometric == LossOptions::literal() {
-            name += "-literal";
+        let shares = config.train.stages.iter().map(|stage| stage.share);
+        if shares.eq(StageConfig::PAPER_PARTS.map(|parts| parts / 30.0)) {
+            name += "-paper";
         }
         PathBuf::from("runs").join(name)
     }

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use dimode_autodiff::{Tensor, par};
+use dimode_autodiff::par;
 use serde_json::{Map, Value, json};
 
 use super::first_weights::load_first_weights;
@@ -16,14 +16,15 @@ use crate::checkpoint::{Checkpoint, hash};
 use crate::config::{Config, Decay as DecayConfig};
 use crate::data::Dataset;
 use crate::model::Model;
-use crate::objective::needs_flow;
-use crate::observed::ObservedFlow;
+use crate::objective::{FlowWays, needs};
+use crate::observed::{BatchFlow, ObservedFlow};
 use crate::optim::adamw::{Moments, State};
 use crate::optim::schedule::{Decay, learning_rate};
 use crate::progress::Progress;
 use crate::runlog::{RunLog, StepRecord};
 use crate::sampler::Sampler;
 use crate::schedule::Schedule;
+use crate::teacher::Teacher;
 use crate::trainer::{StepReport, Trainer};
 
 /// Steps between measurements of each term's gradient.
@@ -49,7 +50,8 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
     let mut sampler = Sampler::new(lengths, config.seed, config.train.batch);
     let schedule = Schedule::new(&config.train);
     let steps = config.train.steps;
-    let load = |items: Vec<(usize, usize)>, step| Batch::load(dataset.as_ref(), &items, &config.train, config.seed, step);
+    let teacher = Teacher::new(config);
+    let load = |items: Vec<(usize, usize)>, step| Batch::load(dataset.as_ref(), &items, (&config.train, &teacher), config.seed, step);
     let observed = ObservedFlow::default();
     let mut prepared = None;
     progress.start(steps, "training");
@@ -70,14 +72,17 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
         let probe = step.is_multiple_of(PROBE_EVERY);
         let next = (step + 1 < steps).then(|| sampler.batch(step as usize + 1));
         // A network that is not trained in this step or the next can already look at the next batch.
-        let early = !stage.train_flow && needs_flow(&config.loss, schedule.stage(step + 1).1);
+        let (_, next_stage) = schedule.stage(step + 1);
+        let ways = needs(&config.loss, next_stage).flow;
+        let early = !stage.train_flow && !next_stage.train_flow && ways != FlowWays::None;
         let flow_network = early.then(|| (trainer.model.clone(), trainer.weights.flow.clone(), trainer.pool().clone()));
         let (report, upcoming) = par::join(
             || trainer.step(&batch, flow.as_ref(), stage, step, rate, probe),
             || -> Result<Option<Prepared>> {
                 let Some(items) = next else { return Ok(None) };
                 let batch = load(items, step + 1)?;
-                let flow = flow_network.map(|(model, weights, pool)| observed.of(&model, &weights, &batch, &pool));
+                let both_ways = ways == FlowWays::Both;
+                let flow = flow_network.map(|(model, weights, pool)| observed.of((&model, &weights), &batch, both_ways, &pool));
                 Ok(Some(Prepared { batch, flow }))
             },
         );
@@ -107,7 +112,7 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
 /// A batch that was made while the step before it was taken.
 struct Prepared {
     batch: Batch,
-    flow: Option<Tensor<f32>>,
+    flow: Option<BatchFlow>,
 }
 
 /// A run that has a checkpoint.

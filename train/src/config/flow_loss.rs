@@ -1,0 +1,75 @@
+//! Training of the flow network in stages that train it.
+
+use serde::{Deserialize, Serialize};
+
+use super::ConfigError;
+use super::error::{not_negative, require};
+
+/// What the flow network's warped image is compared by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FlowData {
+    /// Dissimilarity and difference, as in `l_pho`.
+    #[default]
+    Photometric,
+    /// Census of a 3x3 window, as ARFlow.
+    CensusArflow,
+    /// Census of a 7x7 window, as SMURF.
+    CensusSmurf,
+    /// Census of a 7x7 window, as UnFlow on its finest level.
+    CensusUnflow,
+}
+
+/// Which pixels of the target an optical flow can be trusted at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Occlusion {
+    /// Those whose flow ends inside the source.
+    #[default]
+    InView,
+    /// And whose flow back from there ends near them.
+    ForwardBackward,
+    /// And that enough source pixels flow back to.
+    RangeMap,
+}
+
+/// Settings of the flow network's own loss.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FlowLossConfig {
+    /// Pairs (target, next) of a batch that it sees in a step.
+    pub pairs: usize,
+    /// How the warped image is compared with the target.
+    pub data: FlowData,
+    /// Which pixels are compared; all but `in-view` make the network say the flow back, too.
+    pub occlusion: Occlusion,
+    /// Weight of the second-order smoothness of the flow in pixels.
+    pub smoothness: f64,
+    /// Weight of the distance by which the flow back misses the start, pixels; 0 leaves it out.
+    pub consistency: f64,
+    /// Its learning rate as a share of the others': it starts from trained weights.
+    pub rate: f64,
+}
+
+impl Default for FlowLossConfig {
+    fn default() -> Self {
+        Self {
+            pairs: 2,
+            data: FlowData::Photometric,
+            occlusion: Occlusion::InView,
+            smoothness: 0.02,
+            consistency: 0.0,
+            rate: 0.1,
+        }
+    }
+}
+
+impl FlowLossConfig {
+    /// **Errors** [`ConfigError::Value`] for the first value out of range.
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        not_negative("loss.flow.rate", self.rate)?;
+        require((1..=1024).contains(&self.pairs), "loss.flow.pairs", self.pairs, "must be 1 to 1024")?;
+        not_negative("loss.flow.smoothness", self.smoothness)?;
+        not_negative("loss.flow.consistency", self.consistency)
+    }
+}

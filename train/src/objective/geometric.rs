@@ -1,0 +1,80 @@
+//! `l_pla`, `l_axi`, `l_tan`, `l_rad`: the four geometric losses of the paper.
+
+use dimode_autodiff::Tensor;
+use dimode_geometry::losses as geometric;
+
+use super::needs::{FlowWays, Needs, SourceDepth};
+use super::report::ImageReport;
+use super::scene::Scene;
+use super::term::{Term, TermKind};
+use crate::config::{LossConfig, Occlusion, Sources, StageConfig};
+
+pub(super) const KIND: TermKind = TermKind { needs, measure };
+
+fn is_on(stage: &StageConfig) -> bool {
+    stage.lambda1 > 0.0 || stage.lambda2 > 0.0
+}
+
+fn needs(loss: &LossConfig, stage: &StageConfig) -> Needs {
+    if !is_on(stage) {
+        return Needs::default();
+    }
+    let source_depth = if loss.geometric.detach_source_depth { SourceDepth::Value } else { SourceDepth::Gradient };
+    Needs { source_depth, flow: ways(loss) }
+}
+
+/// The flows that the choice of trusted pixels takes.
+pub(super) fn ways(loss: &LossConfig) -> FlowWays {
+    if loss.occlusion == Occlusion::InView { FlowWays::Forward } else { FlowWays::Both }
+}
+
+fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
+    let (options, stage) = (&scene.loss.geometric, scene.stage);
+    if !is_on(stage) {
+        return Vec::new();
+    }
+    let (rigid, flow, motion) = (scene.rigid_flow().value(), scene.flow().forward, scene.motion());
+    let mask = chosen_sources(scene, options.static_mask.among(scene.trusted(), &rigid, &flow.value()));
+    let inputs = geometric::PairInputs {
+        target_depth: scene.depth,
+        source_depth: scene.source_depth(),
+        flow,
+        rotation: motion.rotation,
+        translation: motion.translation,
+        intrinsics: &scene.cameras,
+        mask: &mask,
+    };
+    let pair = geometric::AlignedPair::new(&inputs, options);
+    type Loss<'l> = fn(&geometric::AlignedPair<'l, f32>, &geometric::LossOptions) -> geometric::LossTerm<'l, f32>;
+    let losses: [(_, _, Loss<'l>); 4] = [
+        ("l_pla", stage.lambda1, geometric::planar),
+        ("l_axi", stage.lambda1, geometric::axial),
+        ("l_tan", stage.lambda2, geometric::tangential),
+        ("l_rad", stage.lambda2, geometric::radial),
+    ];
+    let chosen = losses.into_iter().filter(|(_, weight, _)| *weight > 0.0);
+    let measured = chosen.map(|(name, weight, loss)| {
+        let measured = loss(&pair, options);
+        let pixels = measured.counts.iter().sum::<usize>() as f64;
+        let images = images(&measured);
+        Term { images, ..Term::new(name, weight, measured.mean, pixels / mask.shape().len() as f64) }
+    });
+    measured.collect()
+}
+
+/// Leaves out the previous frames where only the next ones are wanted.
+fn chosen_sources(scene: &Scene<'_, '_>, mask: Tensor<f32>) -> Tensor<f32> {
+    if scene.loss.sources == Sources::Both {
+        return mask;
+    }
+    let half = mask.shape().len() / 2;
+    let data = mask.data().iter().enumerate().map(|(i, &m)| if i < half { 0.0 } else { m }).collect();
+    Tensor::from_vec(mask.shape(), data)
+}
+
+/// Value and pixels of every target and source, previous sources first.
+fn images(measured: &geometric::LossTerm<'_, f32>) -> Vec<ImageReport> {
+    let values = measured.per_image.value();
+    let images = values.data().iter().zip(&measured.counts);
+    images.map(|(&value, &pixels)| ImageReport { value: value.into(), pixels }).collect()
+}

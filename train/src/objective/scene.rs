@@ -1,0 +1,140 @@
+//! What the terms of a batch share.
+
+use std::cell::OnceCell;
+
+use dimode_autodiff::{Tape, Tensor, Var};
+use dimode_geometry::Intrinsics;
+use dimode_geometry::taped::{self, Pose, masks, visibility};
+
+use super::outputs::{Flow, Outputs};
+use super::view_pairs::ViewPairs;
+use crate::batch::{Batch, join};
+use crate::config::{LossConfig, Occlusion, StageConfig};
+use crate::model::DepthRange;
+
+/// Source pixels that must flow to a target pixel for it to count as seen, as ARFlow has it.
+const REACHED: f64 = 0.2;
+
+/// The outputs of a batch as leaves, and what several terms make of them. Both sources are stacked along the samples, previous
+/// ones first.
+pub(super) struct Scene<'a, 'l> {
+    pub loss: &'a LossConfig,
+    pub stage: &'a StageConfig,
+    pub batch: &'a Batch,
+    pub range: DepthRange,
+    pub leaves: &'a Outputs<'l>,
+    /// Seed of this step's random choices.
+    pub seed: u64,
+    /// Cameras of the stacked samples.
+    pub cameras: Vec<Intrinsics>,
+    /// Depth of the target at full size, once for each source, `[2 n, 1, h, w]`.
+    pub depth: Var<'l, f32>,
+    rigid: OnceCell<Var<'l, f32>>,
+    source_depth: OnceCell<Var<'l, f32>>,
+    view_pairs: OnceCell<ViewPairs<'l>>,
+}
+
+impl<'a, 'l> Scene<'a, 'l> {
+    pub fn new(
+        (loss, stage): (&'a LossConfig, &'a StageConfig),
+        range: DepthRange,
+        batch: &'a Batch,
+        leaves: &'a Outputs<'l>,
+        seed: u64,
+    ) -> Self {
+        Scene {
+            loss,
+            stage,
+            batch,
+            range,
+            leaves,
+            seed,
+            cameras: [&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
+            depth: twice(range.depth(leaves.disparities[0])),
+            rigid: OnceCell::new(),
+            source_depth: OnceCell::new(),
+            view_pairs: OnceCell::new(),
+        }
+    }
+
+    pub fn tape(&self) -> &'l Tape<f32> {
+        self.depth.tape()
+    }
+
+    /// Snippets of the batch.
+    pub fn samples(&self) -> usize {
+        self.batch.names.len()
+    }
+
+    /// Motions `source_from_target`, 2 n of them.
+    pub fn motion(&self) -> Pose<'l, f32> {
+        self.leaves.motion
+    }
+
+    /// Flow and source depth by depth and motion, `[2 n, 3, h, w]`.
+    pub fn rigid(&self) -> Var<'l, f32> {
+        let Pose { rotation, translation } = self.motion();
+        *self.rigid.get_or_init(|| taped::rigid_flow(self.depth, rotation, translation, &self.cameras))
+    }
+
+    /// Flow from target to source by depth and motion, `[2 n, 2, h, w]`.
+    pub fn rigid_flow(&self) -> Var<'l, f32> {
+        self.rigid().slice(1, 0, 2)
+    }
+
+    /// Depth of the sources, `[2 n, 1, h, w]`.
+    ///
+    /// # Panics
+    /// When no term needed it.
+    pub fn source_depth(&self) -> Var<'l, f32> {
+        let disparities = &self.leaves.source_disparities;
+        *self.source_depth.get_or_init(|| self.range.depth(*disparities.first().expect("a term of this stage needs the sources")))
+    }
+
+    /// Optical flow.
+    ///
+    /// # Panics
+    /// When no term needed it.
+    pub fn flow(&self) -> Flow<'l> {
+        self.leaves.flow.expect("a term of this stage needs the flow")
+    }
+
+    /// Where the optical flow is trusted, `[2 n, 1, h, w]`.
+    pub fn trusted(&self) -> Tensor<f32> {
+        let flow = self.flow();
+        let forward = flow.forward.value();
+        let seen = masks::in_view(&forward);
+        let backward = || flow.backward.expect("the flow back is needed for this choice").value();
+        match self.loss.occlusion {
+            Occlusion::InView => seen,
+            Occlusion::ForwardBackward => masks::all_of(&[&seen, &masks::not_occluded(&forward, &backward())]),
+            Occlusion::RangeMap => masks::all_of(&[&seen, &visibility::reached(&backward(), REACHED)]),
+        }
+    }
+
+    /// The consistency of view pairs.
+    pub fn view_pairs(&self) -> &ViewPairs<'l> {
+        self.view_pairs.get_or_init(|| ViewPairs::new(self))
+    }
+
+    /// Both sources of the batch, without colour jitter.
+    pub fn sources(&self) -> Tensor<f32> {
+        join(&[&self.batch.plain.previous, &self.batch.plain.next])
+    }
+
+    /// Images of the targets at the size of a map, `[n, 3, h, w]`.
+    pub fn target_like(&self, map: Var<'l, f32>) -> Tensor<f32> {
+        let s = map.shape();
+        self.tape().constant(self.batch.plain.target.clone()).resize_bilinear(s.h(), s.w(), false).value()
+    }
+}
+
+/// The same samples twice, one copy for each source.
+pub(super) fn twice<'l>(x: Var<'l, f32>) -> Var<'l, f32> {
+    Var::concat(&[x, x], 0)
+}
+
+/// Share of what a mask keeps.
+pub(super) fn share(mask: &Tensor<f32>) -> f64 {
+    mask.data().iter().map(|&m| f64::from(m)).sum::<f64>() / mask.shape().len() as f64
+}
