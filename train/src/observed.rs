@@ -48,7 +48,13 @@ impl ObservedFlow {
     }
 
     /// Flow of a batch, without gradient; with `both_ways` also the flow back.
-    pub fn of(&self, (model, weights): (&Model, &ParamSet<f32>), batch: &Batch, both_ways: bool, pool: &Arc<Pool<f32>>) -> BatchFlow {
+    pub fn of(
+        &self,
+        (model, weights): (&Model, &ParamSet<f32>),
+        batch: &Batch,
+        both_ways: bool,
+        pool: &Arc<Pool<f32>>,
+    ) -> BatchFlow {
         let maps = if both_ways { 4 } else { 2 };
         let flows = par::map_indices(batch.snippets.len(), |i| {
             let key = batch.snippets[i];
@@ -124,7 +130,8 @@ mod tests {
         let pool = Pool::new();
         let mut flips = [false; 2];
         for step in 0..12 {
-            let batch = Batch::load(frames.as_ref(), &[(0, 1), (1, 2), (0, 3)], (&config.train, &Teacher::None), 3, step).unwrap();
+            let batch =
+                Batch::load(frames.as_ref(), &[(0, 1), (1, 2), (0, 3)], (&config.train, &Teacher::None), 3, step).unwrap();
             // Some snippets are met one way first, and all are met again.
             let both_ways = step % 3 == 1;
             let found = ObservedFlow::default().of((&model, &weights), &batch, both_ways, &pool);

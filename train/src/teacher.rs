@@ -48,7 +48,12 @@ impl Teacher {
     ///
     /// # Errors
     /// When a file is missing or cannot be read, or a pixel has no depth.
-    pub fn map(&self, dataset: &dyn Dataset, (sequence, number): (usize, usize), frame: &Frame) -> Result<Option<Map>, DataError> {
+    pub fn map(
+        &self,
+        dataset: &dyn Dataset,
+        (sequence, number): (usize, usize),
+        frame: &Frame,
+    ) -> Result<Option<Map>, DataError> {
         match self {
             Self::None => Ok(None),
             Self::Rendered { degradation } => {
@@ -86,4 +91,77 @@ fn tensor(map: &Map) -> Tensor<f32> {
 
 fn plain(map: &Tensor<f32>) -> Map {
     Map::from_vec(map.shape().h(), map.shape().w(), map.data().to_vec())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::batch::Batch;
+    use crate::config::LossPreset;
+    use crate::data::write_depth_png;
+    use crate::mirror::mirrored;
+    use crate::run::training_frames;
+
+    fn config(pseudo_depth: PseudoDepth) -> Config {
+        let mut config = LossPreset::Dimode.config();
+        (config.data.width, config.data.height, config.data.worlds, config.data.frames) = (64, 64, 2, 3);
+        config.loss.local_structure.pseudo_depth = pseudo_depth;
+        config
+    }
+
+    #[test]
+    fn nobody_is_asked_where_nothing_needs_it() {
+        let mut rendered = config(PseudoDepth::Rendered);
+        assert!(matches!(Teacher::new(&rendered), Teacher::Rendered { .. }));
+        rendered.train.stages.iter_mut().for_each(|stage| stage.lambda3 = 0.0);
+        assert_eq!(Teacher::new(&rendered), Teacher::None);
+        for own in [PseudoDepth::None, PseudoDepth::SelfGuided] {
+            assert_eq!(Teacher::new(&config(own)), Teacher::None);
+        }
+    }
+
+    #[test]
+    fn a_frame_has_one_pseudo_depth_mirrored_with_it() {
+        let config = config(PseudoDepth::Rendered);
+        let (frames, teacher) = (training_frames(&config).unwrap(), Teacher::new(&config));
+        let frame = frames.frame(1, 1).unwrap();
+        let map = teacher.map(frames.as_ref(), (1, 1), &frame).unwrap().unwrap();
+        assert_eq!(Some(&map), teacher.map(frames.as_ref(), (1, 1), &frame).unwrap().as_ref());
+        let truth = frame.depth.as_ref().unwrap();
+        let ratio = |i: usize| f64::from(map.data[i] / truth.data[i]).ln();
+        let (least, most) = (0..map.data.len()).map(ratio).fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+        assert!(least > -0.8 && most < 0.8 && most - least > 0.01 && most - least <= 0.1 + 1e-5, "{least} {most}");
+        let mut seen = [false; 2];
+        for step in 0..12 {
+            let batch = Batch::load(frames.as_ref(), &[(0, 1), (1, 1)], (&config.train, &teacher), 3, step).unwrap();
+            let found = batch.pseudo_depth.unwrap();
+            let expected = if batch.flipped[1] { mirrored(&tensor(&map)) } else { tensor(&map) };
+            assert_eq!(found.plane(1, 0), expected.data());
+            seen[usize::from(batch.flipped[1])] = true;
+        }
+        assert_eq!(seen, [true; 2]);
+    }
+
+    #[test]
+    fn maps_of_a_folder_are_found_in_both_places_and_resized() {
+        let place = tempfile::tempdir().unwrap();
+        let mut config = config(PseudoDepth::Folder);
+        config.loss.local_structure.folder = Some(place.path().to_owned());
+        let (frames, teacher) = (training_frames(&config).unwrap(), Teacher::new(&config));
+        let map = Map::from_vec(32, 32, (0..1024).map(|i| 1.0 + (i % 32) as f32 / 8.0).collect());
+        let frame = |number| frames.frame(0, number).unwrap();
+        let load = |number| teacher.map(frames.as_ref(), (0, number), &frame(number)).map(|map| map.unwrap());
+        std::fs::create_dir_all(place.path().join("00/depth")).unwrap();
+        write_depth_png(&place.path().join("00/000001.png"), &map).unwrap();
+        write_depth_png(&place.path().join("00/depth/000002.png"), &map).unwrap();
+        let found = load(1).unwrap();
+        assert_eq!((found.height, found.width), (64, 64));
+        assert_eq!(found, load(2).unwrap());
+        assert!((found.at(10, 20) - (1.0 + (20.5 / 2.0 - 0.5) / 8.0)).abs() < 1e-5, "{}", found.at(10, 20));
+        let message = load(0).unwrap_err().to_string();
+        assert!(message.contains("00/000000.png: pseudo-depth map not found; every frame needs one"), "{message}");
+        write_depth_png(&place.path().join("00/000000.png"), &Map::zeros(4, 4)).unwrap();
+        let message = load(0).unwrap_err().to_string();
+        assert!(message.contains("is 0 at row 0, column 0") && message.ends_with("above 0, in any unit"), "{message}");
+    }
 }

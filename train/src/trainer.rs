@@ -184,7 +184,8 @@ impl Trainer {
             let images = &batch.plain;
             let targets = tape.constant(join(&[&images.target, &images.target]));
             let sources = tape.constant(join(&[&images.previous, &images.next]));
-            let said = |first, second| *self.model.flow.forward(net, first, second, self.model.flow_iterations).last().expect("a flow");
+            let said =
+                |first, second| *self.model.flow.forward(net, first, second, self.model.flow_iterations).last().expect("a flow");
             let backward = both_ways.then(|| said(sources, targets));
             return Some(Flow { forward: said(targets, sources), backward, trained: true });
         }
@@ -333,7 +334,10 @@ mod tests {
             let batch = Batch::load(self.frames.as_ref(), &[(0, 1)], (&config.train, &Teacher::None), 1, 0).unwrap();
             let tape = Tape::new();
             let [mut depth, mut pose] = [&trainer.weights.depth, &trainer.weights.pose].map(|set| binder(&tape, set, true));
-            trainer.run_networks(&tape, &batch, (&config.train.stages[0], Needs::default()), &mut depth, &mut pose).motion.to_se3()
+            trainer
+                .run_networks(&tape, &batch, (&config.train.stages[0], Needs::default()), &mut depth, &mut pose)
+                .motion
+                .to_se3()
         }
     }
 

@@ -13,6 +13,8 @@ pub enum StaticMask {
     None,
     /// [`masks::static_pixels`]: squared difference of rigid and optical flow below its mean over the image.
     Mean,
+    /// [`masks::static_on_grid`], as Dynamo-Depth has it: the mean over the whole batch, distances in units of a sampling grid.
+    DynamoGrid,
     /// [`masks::relatively_static`]: squared difference relative to the flow below four times its mean. Large flows may be
     /// far off at first.
     Relative,
@@ -28,6 +30,7 @@ impl StaticMask {
         match self {
             Self::None => within,
             Self::Mean => masks::static_pixels(rigid, optical, Some(&within)),
+            Self::DynamoGrid => masks::all_of(&[&within, &masks::static_on_grid(rigid, optical)]),
             Self::Relative => masks::relatively_static(rigid, optical, Some(&within)),
         }
     }
@@ -50,5 +53,16 @@ mod tests {
         assert_eq!(kept(StaticMask::None), [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]);
         assert_eq!(kept(StaticMask::Mean), [0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]);
         assert_eq!(kept(StaticMask::Relative), [1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]);
+    }
+
+    #[test]
+    fn the_grid_of_dynamo_pools_the_batch_and_counts_sides() {
+        // The same error along the shorter side is a larger part of it; the mean is that of both images.
+        let error = |n: usize, c: usize| if n == 1 { 0.1 } else { [1.0, 0.0][c] };
+        let rigid = Tensor::from_fn(Shape::new(2, 2, 2, 5), |n, c, v, _| if v == 0 { error(n, c) } else { error(n, 1 - c) });
+        let optical = Tensor::<f64>::zeros(rigid.shape());
+        let kept = StaticMask::DynamoGrid.among(masks::everywhere(rigid.shape()), &rigid, &optical);
+        assert_eq!(kept.plane(0, 0), [[1.0; 5], [0.0; 5]].concat());
+        assert_eq!(kept.plane(1, 0), [1.0; 10]);
     }
 }

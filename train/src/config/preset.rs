@@ -73,7 +73,8 @@ impl LossPreset {
             Self::DfNet => vec![joint(), StageConfig { cross_task: 1e-3, ..StageConfig::new("2 cross-task", 28.0 / 30.0) }],
             Self::Dcpi => {
                 let contextual = StageConfig { contextual: 0.01, rigid: 0.002, ..StageConfig::new("2 contextual", 18.0 / 30.0) };
-                let last = StageConfig { divergence: 0.002, name: "3 divergence".into(), share: 10.0 / 30.0, ..contextual.clone() };
+                let last =
+                    StageConfig { divergence: 0.002, name: "3 divergence".into(), share: 10.0 / 30.0, ..contextual.clone() };
                 vec![joint(), contextual, last]
             }
         }
@@ -122,7 +123,10 @@ mod tests {
             assert_eq!(preset.name().parse(), Ok(preset));
             assert_eq!(toml::Value::try_from(preset).unwrap().as_str(), Some(preset.name()));
         }
-        assert_eq!("literal".parse::<LossPreset>().unwrap_err(), "use one of dimode, dimode-literal, monodepth2, sc-depth, df-net, dcpi");
+        assert_eq!(
+            "literal".parse::<LossPreset>().unwrap_err(),
+            "use one of dimode, dimode-literal, monodepth2, sc-depth, df-net, dcpi"
+        );
         assert_eq!("monodepth".parse::<LossPreset>().unwrap_err(), "did you mean 'monodepth2'?");
     }
 

@@ -89,10 +89,12 @@ fn unset_settings_are_shown_as_comments() {
     let text = Config::default().to_toml();
     let comments: Vec<&str> = text.lines().filter(|line| line.starts_with("# ")).collect();
     assert!(comments[0].starts_with("# path = \"frames\"  # folder of real frames"), "{comments:?}");
-    assert!(comments[1].starts_with("# only_stages = [1, 2]  # train only these stages"), "{comments:?}");
-    assert_eq!((comments.len(), parse(&text).unwrap()), (2, Config::default()));
+    assert!(comments[1].starts_with("# folder = \"teacher\"  # folder of pseudo-depth maps"), "{comments:?}");
+    assert!(comments[2].starts_with("# only_stages = [1, 2]  # train only these stages"), "{comments:?}");
+    assert_eq!((comments.len(), parse(&text).unwrap()), (3, Config::default()));
     let uncommented = parse(&text.replace("\n# ", "\n")).unwrap();
     assert_eq!(uncommented.data.path.as_deref(), Some(Path::new("frames")));
+    assert_eq!(uncommented.loss.local_structure.folder.as_deref(), Some(Path::new("teacher")));
     assert_eq!(uncommented.train.only_stages, Some(vec![1, 2]));
     assert!(!uncommented.to_toml().contains('#'));
 }

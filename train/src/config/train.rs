@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{ConfigError, LossPreset};
 use super::error::{fraction, not_negative, positive, require};
+use super::{ConfigError, LossPreset};
 
 /// How the learning rate falls after the warm-up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -8,9 +8,7 @@ use super::scene::{Scene, share};
 use super::term::{Term, TermKind};
 use crate::config::{ContextualDepth, LossConfig, Sources, StageConfig};
 use crate::losses::contextual_divergence::{DivergenceForm, divergence_agreement};
-use crate::losses::contextual_geometric::{
-    ContextualForm, ContextualInputs, TriangulatedForm, radial_depth, triangulated_depth,
-};
+use crate::losses::contextual_geometric::{ContextualForm, ContextualInputs, TriangulatedForm, radial_depth, triangulated_depth};
 use crate::losses::gated::Gated;
 use crate::losses::rigid_agreement::rigid_agreement;
 

@@ -2,10 +2,10 @@
 
 use dimode_geometry::taped::masks;
 
+use super::geometric::ways;
 use super::needs::{FlowWays, Needs};
 use super::scene::{Scene, share};
 use super::term::{Term, TermKind};
-use super::geometric::ways;
 use crate::config::{LossConfig, StageConfig};
 use crate::losses::flow_consistency::flow_consistency;
 

@@ -117,7 +117,8 @@ fn first_bad(tensors: impl Iterator<Item = Tensor<f32>>, samples: usize) -> Opti
 fn probe_term<'l>(tape: &'l Tape<f32>, leaves: &Outputs<'l>, term: &Term<'l>) -> TermGradients {
     let gradients: Gradients<f32> = tape.backward(term.value.scale(term.weight));
     let norm = |x: &[f32]| x.iter().map(|&x| f64::from(x) * f64::from(x)).sum::<f64>();
-    let disparity: f64 = leaves.disparities.iter().chain(&leaves.source_disparities).map(|&d| norm(gradients.wrt(d).data())).sum();
+    let disparity: f64 =
+        leaves.disparities.iter().chain(&leaves.source_disparities).map(|&d| norm(gradients.wrt(d).data())).sum();
     let translation = gradients.wrt(leaves.motion.translation);
     let turn = turns(&leaves.motion.rotation.value(), &gradients.wrt(leaves.motion.rotation));
     let axis = |axes: &[usize]| {

@@ -1,0 +1,197 @@
+//! Every method's loss and every choice of its terms trains: steps of each stage on rendered worlds, nothing that is not finite.
+
+use dimode::batch::Batch;
+use dimode::config::{Config, LossPreset, Preset};
+use dimode::data::Dataset;
+use dimode::model::{Model, Weights};
+use dimode::optim::adamw::State;
+use dimode::run::first_weights::load_first_weights;
+use dimode::run::trained::weight_tensors;
+use dimode::run::training_frames;
+use dimode::sampler::Sampler;
+use dimode::schedule::Schedule;
+use dimode::teacher::Teacher;
+use dimode::trainer::{StepReport, Trainer};
+use dimode_autodiff::par;
+
+/// Steps of each stage.
+const STEPS: u64 = 3;
+
+/// A small run of a method.
+fn small(preset: LossPreset, world: Preset, seed: u64) -> Config {
+    let mut config = preset.config();
+    config.seed = seed;
+    (config.data.preset, config.data.worlds, config.data.frames) = (world, 3, 4);
+    (config.data.width, config.data.height) = (64, 64);
+    (config.train.batch, config.nets.flow_iterations) = (2, 2);
+    as_long_as_its_stages(config)
+}
+
+fn as_long_as_its_stages(mut config: Config) -> Config {
+    config.train.stages.iter_mut().for_each(|stage| stage.share = 1.0);
+    config.train.steps = STEPS * config.train.stages.len() as u64;
+    config
+}
+
+fn with(mut config: Config, settings: &[&str]) -> Config {
+    for setting in settings {
+        config = config.with_setting(setting).unwrap();
+    }
+    config.validate().unwrap();
+    as_long_as_its_stages(config)
+}
+
+struct Run {
+    reports: Vec<StepReport>,
+    before: Weights,
+    after: Weights,
+}
+
+fn run(config: &Config) -> Run {
+    let frames: Box<dyn Dataset> = training_frames(config).unwrap();
+    let lengths = (0..frames.sequence_count()).map(|s| frames.sequence_len(s)).collect();
+    let mut sampler = Sampler::new(lengths, config.seed, config.train.batch);
+    let mut before = Model::new(&config.nets).init(config.seed);
+    load_first_weights(&config.nets, &mut before).unwrap();
+    let mut trainer = Trainer::new(config, before.clone(), State::default());
+    let (schedule, teacher) = (Schedule::new(&config.train), Teacher::new(config));
+    let mut step = |k: u64| {
+        let items = sampler.batch(k as usize);
+        let batch = Batch::load(frames.as_ref(), &items, (&config.train, &teacher), config.seed, k).unwrap();
+        trainer.step(&batch, None, schedule.stage(k).1, k, config.train.learning_rate, true).unwrap()
+    };
+    let reports = (0..config.train.steps).map(&mut step).collect();
+    Run { reports, before, after: trainer.weights }
+}
+
+/// Names of the terms of the last step of each stage.
+fn terms(run: &Run) -> Vec<Vec<&str>> {
+    let last = run.reports.iter().skip(STEPS as usize - 1).step_by(STEPS as usize);
+    last.map(|report| report.terms.iter().map(|term| term.name.as_str()).collect()).collect()
+}
+
+/// Everything said is finite, adds up, and the networks that are trained have moved.
+fn check(run: &Run, what: &str) {
+    for (step, report) in run.reports.iter().enumerate() {
+        let mut total = 0.0;
+        for term in &report.terms {
+            let context = || format!("{what}, step {step}, {term:?}");
+            assert!(term.value.is_finite() && (0.0..=1.0).contains(&term.valid), "{}", context());
+            assert!(term.images.iter().all(|image| image.value.is_finite()), "{}", context());
+            total += term.weight * term.value;
+            let own = term.name.starts_with("l_flow");
+            let Some(g) = term.gradients else {
+                assert!(own, "{}", context());
+                continue;
+            };
+            assert!([g.disparity, g.rotation, g.tangential, g.radial].iter().all(|norm| norm.is_finite()), "{}", context());
+        }
+        assert!((report.total - total).abs() <= 1e-9 * total.abs(), "{what}, step {step}: {} is not {total}", report.total);
+        assert!(report.network_gradients.iter().flatten().all(|norm| norm.is_finite()), "{what}, step {step}");
+    }
+    for network in ["depth", "pose"] {
+        assert!(moved(run, network), "{what}: the {network} network has not moved");
+    }
+    assert!(weight_tensors(&run.after).iter().all(|(_, _, values)| values.is_finite()), "{what}");
+}
+
+fn moved(run: &Run, network: &str) -> bool {
+    let (before, after) = (weight_tensors(&run.before), weight_tensors(&run.after));
+    before.iter().zip(&after).filter(|(tensor, _)| tensor.0.starts_with(network)).any(|(a, b)| a.2 != b.2)
+}
+
+#[test]
+fn every_preset_trains_on_every_seed_and_world() {
+    for preset in LossPreset::ALL {
+        for (world, seed) in
+            [Preset::Street, Preset::Handheld].into_iter().flat_map(|world| (0..5).map(move |seed| (world, seed)))
+        {
+            let run = run(&small(preset, world, seed));
+            check(&run, &format!("{preset} on {world}, seed {seed}"));
+            let base = ["l_pho", "smooth", "scale"];
+            let later: Vec<Vec<&str>> = match preset {
+                LossPreset::Dimode | LossPreset::DimodeLiteral => {
+                    vec![vec!["l_flow"], vec!["l_pla", "l_axi"], vec!["l_pla", "l_axi", "l_tan", "l_rad"]]
+                }
+                LossPreset::Monodepth2 | LossPreset::ScDepth => vec![vec![]],
+                LossPreset::DfNet => vec![vec!["l_flow"], vec!["cross_task"]],
+                LossPreset::Dcpi => {
+                    vec![vec!["l_flow"], vec!["contextual", "rigid"], vec!["contextual", "rigid", "divergence"]]
+                }
+            };
+            let found = terms(&run);
+            assert_eq!(found.len(), later.len(), "{preset}");
+            for (found, later) in found.iter().zip(later) {
+                let mut expected = base.to_vec();
+                if preset == LossPreset::ScDepth {
+                    expected.insert(1, "l_geo");
+                }
+                expected.extend(later);
+                assert_eq!(*found, expected, "{preset}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_choice_of_every_term_trains() {
+    let local = ["loss.local_structure.relative_normal=0.5", "loss.local_structure.depth_ranking=0.5"];
+    let choices: [(LossPreset, &[&str], &str); 20] = [
+        (LossPreset::ScDepth, &["loss.photometric=sc-sfm"], "l_geo"),
+        (LossPreset::Monodepth2, &["loss.geometry_consistency=0.1", "loss.auto_mask=false"], "l_geo"),
+        (LossPreset::Monodepth2, &["loss.smoothness_of=depth", "loss.scale_anchor=0"], "smooth"),
+        (LossPreset::Dimode, &["loss.flow_consistency=0.02"], "flow_consistency"),
+        (LossPreset::Dimode, &["loss.occlusion=forward-backward", "loss.flow_consistency=0.02"], "flow_consistency"),
+        (LossPreset::Dimode, &["loss.occlusion=range-map"], "l_rad"),
+        (LossPreset::Dimode, &["loss.geometric.static_mask=dynamo-grid", "loss.sources=next"], "l_tan"),
+        (LossPreset::Dimode, &["loss.geometric.detach_source_depth=false", "loss.scales=2"], "l_axi"),
+        (LossPreset::Dimode, &["loss.local_structure.pseudo_depth=rendered", local[0], local[1]], "l_loc_ranking"),
+        (LossPreset::Dimode, &["loss.local_structure.pseudo_depth=self-guided"], "l_loc_normals"),
+        (LossPreset::ScDepth, &["loss.local_structure.pseudo_depth=rendered", "loss.smoothness=0"], "l_loc_angles"),
+        (LossPreset::Dimode, &["loss.flow.data=census-arflow"], "l_flow"),
+        (LossPreset::Dimode, &["loss.flow.data=census-smurf", "loss.flow.occlusion=range-map"], "l_flow"),
+        (LossPreset::Dimode, &["loss.flow.data=census-unflow", "loss.flow.consistency=0.2"], "l_flow_back"),
+        (LossPreset::Dimode, &["loss.flow.occlusion=forward-backward"], "l_flow"),
+        (LossPreset::DfNet, &["train.stages.2.train_flow=true", "loss.scales=1"], "l_flow"),
+        (LossPreset::Dcpi, &["loss.contextual=triangulated", "loss.sources=both"], "contextual"),
+        (LossPreset::Dcpi, &["train.stages.2.train_flow=true", "train.stages.3.train_flow=true"], "rigid"),
+        (LossPreset::Dimode, &["train.stages.3.cross_task=0.001", "train.stages.3.contextual=0.01"], "cross_task"),
+        (LossPreset::DimodeLiteral, &["loss.geometric.planar=robust", "loss.geometric.axial=folded"], "l_axi"),
+    ];
+    for (preset, settings, term) in choices {
+        let run = run(&with(small(preset, Preset::Street, 1), settings));
+        let what = format!("{preset} with {settings:?}");
+        check(&run, &what);
+        assert!(terms(&run).iter().flatten().any(|name| *name == term), "{what}: {:?}", terms(&run));
+    }
+}
+
+#[test]
+fn every_preset_gives_the_same_bits_on_any_number_of_threads() {
+    for preset in LossPreset::ALL {
+        let config = with(small(preset, Preset::Handheld, 2), &["loss.local_structure.pseudo_depth=rendered"]);
+        let [one, three] = [1, 3].map(|threads| par::with_threads(threads, || run(&config)));
+        assert_eq!(one.reports, three.reports, "{preset}");
+        for (a, b) in weight_tensors(&one.after).iter().zip(weight_tensors(&three.after)) {
+            assert_eq!(a.2, b.2, "{preset}: {}", a.0);
+        }
+    }
+}
+
+#[test]
+fn the_flow_network_learns_from_the_terms_that_reach_it_and_only_where_it_is_trained() {
+    for trained in [true, false] {
+        let mut config = small(LossPreset::DfNet, Preset::Street, 3);
+        // Depth and pose stand still, so that nothing but the flow can make the term fall.
+        config.train.stages.remove(0);
+        config.train.stages[0].train_depth = false;
+        config.train.stages[0].train_flow = trained;
+        (config.train.pose_rate, config.loss.flow.rate, config.train.learning_rate) = (1e-12, 0.2, 0.01);
+        (config.train.steps, config.data.worlds, config.train.flip, config.train.jitter) = (24, 1, false, false);
+        let run = run(&config);
+        let value = |k: usize| run.reports[k].terms.iter().find(|term| term.name == "cross_task").unwrap().value;
+        let (first, last) = ((value(0) + value(1)) / 2.0, (value(22) + value(23)) / 2.0);
+        assert_eq!(last < 0.9 * first, trained, "{first} to {last}");
+        assert_eq!(moved(&run, "flow"), trained);
+    }
+}
