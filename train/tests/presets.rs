@@ -84,7 +84,11 @@ fn check(run: &Run, what: &str) {
                 assert!(own, "{}", context());
                 continue;
             };
-            assert!([g.disparity, g.rotation, g.tangential, g.radial].iter().all(|norm| norm.is_finite()), "{}", context());
+            assert!(
+                [g.disparity, g.depth, g.rotation, g.tangential, g.radial].iter().all(|norm| norm.is_finite()),
+                "{}",
+                context()
+            );
         }
         assert!((report.total - total).abs() <= 1e-9 * total.abs(), "{what}, step {step}: {} is not {total}", report.total);
         assert!(report.network_gradients.iter().flatten().all(|norm| norm.is_finite()), "{what}, step {step}");

@@ -99,5 +99,5 @@ pub fn measure(
     let leaves = outputs.on(&tape);
     let scene = Scene::new((&config.loss, stage), range, batch, &leaves, config.seed ^ (step << 20));
     let terms = TERMS.iter().flat_map(|kind| (kind.measure)(&scene)).collect();
-    report::report(&tape, &leaves, terms, probe, batch.names.len())
+    report::report(&tape, &leaves, terms, probe.then_some(range), batch.names.len())
 }

@@ -4,13 +4,16 @@ use dimode_autodiff::{Gradients, Tape, Tensor};
 
 use super::outputs::{OutputGradients, Outputs};
 use super::term::Term;
+use crate::model::DepthRange;
 use crate::non_finite::Failure;
 
 /// Norms of a weighted term's gradient with respect to disparities and motions `source_from_target`.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct TermGradients {
-    /// Disparities.
+    /// Disparities, as the network says them.
     pub disparity: f64,
+    /// Depths, in one over the unit of depth: the same gradient where far pixels count for what they are.
+    pub depth: f64,
     /// Rotations, per radian of a small turn about each axis.
     pub rotation: f64,
     /// Tangential translation (x, y).
@@ -61,12 +64,12 @@ pub struct LossReport {
     pub total: f64,
 }
 
-/// Sums the terms up and takes their gradient; with `probe` each term's gradient apart.
+/// Sums the terms up and takes their gradient; with the range of depths to `probe` also each term's apart.
 pub(super) fn report<'l>(
     tape: &'l Tape<f32>,
     leaves: &Outputs<'l>,
     terms: Vec<Term<'l>>,
-    probe: bool,
+    probe: Option<DepthRange>,
     samples: usize,
 ) -> Result<(LossReport, OutputGradients), Failure> {
     let mut reports = Vec::with_capacity(terms.len());
@@ -78,7 +81,7 @@ pub(super) fn report<'l>(
             return Err(Failure { what: "value", term: term.name.into(), sample });
         }
         total += term.weight * value;
-        let gradients = probe.then(|| probe_term(tape, leaves, term));
+        let gradients = probe.map(|range| probe_term(tape, leaves, term, range));
         let images = term.images.clone();
         reports.push(TermReport { gradients, images, ..TermReport::new(term.name, term.weight, value, term.valid) });
     }
@@ -114,18 +117,32 @@ fn first_bad(tensors: impl Iterator<Item = Tensor<f32>>, samples: usize) -> Opti
         .min()
 }
 
-fn probe_term<'l>(tape: &'l Tape<f32>, leaves: &Outputs<'l>, term: &Term<'l>) -> TermGradients {
+fn probe_term<'l>(tape: &'l Tape<f32>, leaves: &Outputs<'l>, term: &Term<'l>, range: DepthRange) -> TermGradients {
     let gradients: Gradients<f32> = tape.backward(term.value.scale(term.weight));
     let norm = |x: &[f32]| x.iter().map(|&x| f64::from(x) * f64::from(x)).sum::<f64>();
-    let disparity: f64 =
-        leaves.disparities.iter().chain(&leaves.source_disparities).map(|&d| norm(gradients.wrt(d).data())).sum();
+    let maps = || leaves.disparities.iter().chain(&leaves.source_disparities).map(|&d| (d, gradients.wrt(d)));
+    let disparity: f64 = maps().map(|(_, g)| norm(g.data())).sum();
+    let depth: f64 = maps().map(|(d, g)| norm(&with_respect_to_depth(&d.value(), &g, range))).sum();
     let translation = gradients.wrt(leaves.motion.translation);
     let turn = turns(&leaves.motion.rotation.value(), &gradients.wrt(leaves.motion.rotation));
     let axis = |axes: &[usize]| {
         let pairs = (0..translation.shape().n()).flat_map(|n| axes.iter().map(move |&c| (n, c)));
         pairs.map(|(n, c)| f64::from(translation.at(n, c, 0, 0)).powi(2)).sum::<f64>().sqrt()
     };
-    TermGradients { disparity: disparity.sqrt(), rotation: norm(&turn).sqrt(), tangential: axis(&[0, 1]), radial: axis(&[2]) }
+    TermGradients {
+        disparity: disparity.sqrt(),
+        depth: depth.sqrt(),
+        rotation: norm(&turn).sqrt(),
+        tangential: axis(&[0, 1]),
+        radial: axis(&[2]),
+    }
+}
+
+/// The gradient with respect to the depths `z = 1 / (a d + b)` of disparities `d`, from that with respect to `d`: `-g / (a z^2)`.
+fn with_respect_to_depth(disparity: &Tensor<f32>, gradient: &Tensor<f32>, range: DepthRange) -> Vec<f32> {
+    let a = (1.0 / range.min - 1.0 / range.max) as f32;
+    let depth = range.depth_values(disparity);
+    depth.data().iter().zip(gradient.data()).map(|(z, g)| -g / (a * z * z)).collect()
 }
 
 /// The gradient with respect to rotation vectors `w` in `R exp(w)` at `w = 0`, from that with respect to the matrices
@@ -143,6 +160,21 @@ mod tests {
     use dimode_autodiff::gradcheck::random;
     use dimode_geometry::so3;
     use nalgebra::{Matrix3, Vector3};
+
+    #[test]
+    fn slopes_by_depth_are_those_by_disparity_along_the_same_change() {
+        let range = DepthRange { min: 0.5, max: 100.0 };
+        let disparity = random::<f32>(1, Shape::new(1, 1, 2, 3), 0.1, 0.9);
+        let gradient = random::<f32>(2, disparity.shape(), -1.0, 1.0);
+        let by_depth = with_respect_to_depth(&disparity, &gradient, range);
+        let depth = |d: f64| 1.0 / (1.0 / range.max + (1.0 / range.min - 1.0 / range.max) * d);
+        for (k, by_depth) in by_depth.into_iter().enumerate() {
+            let d = f64::from(disparity.data()[k]);
+            let slope = (depth(d + 1e-6) - depth(d - 1e-6)) / 2e-6;
+            let expected = f64::from(gradient.data()[k]) / slope;
+            assert!((f64::from(by_depth) - expected).abs() < 1e-5 * expected.abs(), "{by_depth} instead of {expected}");
+        }
+    }
 
     #[test]
     fn turns_are_the_slopes_of_small_turns() {

@@ -215,7 +215,13 @@ fn record(step: u64, stage: &str, report: &StepReport, rate: f64, seconds: f64) 
         record.terms.insert(term.name.clone(), term.value);
         record.valid.insert(term.name.clone(), term.valid);
         if let Some(g) = term.gradients {
-            let parts = [("disparity", g.disparity), ("rotation", g.rotation), ("t_tan", g.tangential), ("t_rad", g.radial)];
+            let parts = [
+                ("disparity", g.disparity),
+                ("depth", g.depth),
+                ("rotation", g.rotation),
+                ("t_tan", g.tangential),
+                ("t_rad", g.radial),
+            ];
             for (part, norm) in parts {
                 record.gradient_norms.insert(format!("{}/{part}", term.name), norm);
             }
