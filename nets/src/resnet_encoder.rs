@@ -39,7 +39,7 @@ impl ResNetConfig {
 /// A ResNet that returns its five feature maps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResNetEncoder {
-    file: String,
+    root: String,
     config: ResNetConfig,
     conv1: ConvLayer,
     norm1: BatchNorm,
@@ -49,7 +49,11 @@ pub struct ResNetEncoder {
 impl ResNetEncoder {
     /// The encoder stored in the checkpoint file `file`, every name starting with `encoder.`.
     pub fn new(file: &str, config: ResNetConfig) -> Self {
-        let root = format!("{file}:encoder");
+        Self::under(format!("{file}:encoder"), config)
+    }
+
+    /// The encoder whose names start with the path `root`, for checkpoints that keep several modules in one file.
+    pub fn under(root: String, config: ResNetConfig) -> Self {
         let stem = config.widths[0];
         let conv1 = ConvLayer::new(format!("{root}.conv1"), 3 * config.images, stem, 7);
         let layer = |level: usize| {
@@ -64,10 +68,10 @@ impl ResNetEncoder {
             (0..config.blocks[level]).map(block).collect()
         };
         Self {
-            file: file.to_owned(),
             conv1: conv1.stride(2).without_bias().kaiming(),
             norm1: BatchNorm::new(format!("{root}.bn1"), stem),
             layers: std::array::from_fn(layer),
+            root,
             config,
         }
     }
@@ -85,7 +89,7 @@ impl ResNetEncoder {
             block.declare(blueprint);
         }
         if self.config.classifier {
-            let (width, root) = (self.config.widths[4], format!("{}:encoder.fc", self.file));
+            let (width, root) = (self.config.widths[4], format!("{}.fc", self.root));
             let init = Init::fan_in(width);
             blueprint.parameter(format!("{root}.weight"), &[CLASSES, width], init);
             blueprint.parameter(format!("{root}.bias"), &[CLASSES], init);

@@ -2,8 +2,8 @@
 
 use dimode_autodiff::{Shape, Tape, Tensor, par};
 use dimode_nets::{
-    Binder, DepthNet, DepthNetConfig, FlowNet, FlowNetConfig, FlowOptions, ImageRange, Mode, Network, ParamSet, PoseNet,
-    PoseNetConfig, fill, weights,
+    Binder, DepthNet, DepthNetConfig, FlowNet, FlowNetConfig, FlowOptions, ImageRange, Mode, Network, ParamGradient, ParamSet,
+    PoseNet, PoseNetConfig, RectifyNet, RectifyNetConfig, fill, weights,
 };
 
 const SIZE: Shape = Shape([1, 3, 64, 96]);
@@ -81,10 +81,25 @@ fn every_parameter_of_a_nano_network_learns() {
     let losses = disparities.iter().map(|d| d.square().mean());
     let loss = losses.reduce(|a, b| a.add(b)).unwrap();
     let gradients = binder.gradients(&tape.backward(loss));
+    assert_all_move(&gradients);
+}
+
+fn assert_all_move(gradients: &[ParamGradient<f32>]) {
     for item in gradients {
         let moves = item.gradient.data().iter().any(|&g| g != 0.0);
         assert!(moves, "{} has no gradient", item.path);
     }
+}
+
+#[test]
+fn every_parameter_of_the_nano_rectifying_network_learns() {
+    let net = RectifyNet::new(RectifyNetConfig::nano());
+    let params = net.init::<f32>(1);
+    let tape = Tape::new();
+    let mut binder = Binder::new(&tape, &params, Mode::Train);
+    let angles = net.forward(&mut binder, tape.constant(image("a", 2)), tape.constant(image("b", 2)));
+    assert_eq!(angles.shape(), Shape::new(2, 3, 1, 1));
+    assert_all_move(&binder.gradients(&tape.backward(angles.square().sum())));
 }
 
 #[test]
@@ -160,7 +175,7 @@ fn flow_of_a_batch_is_that_of_its_pairs() {
     assert_near(&both.data()[half..], ba.data(), 1e-3 * largest);
 }
 
-/// Bits of outputs and gradients of all three nano networks.
+/// Bits of outputs and gradients of all four nano networks.
 fn bits() -> Vec<u32> {
     let mut bits = Vec::new();
     let mut note = |tensor: &Tensor<f32>| bits.extend(tensor.data().iter().map(|v| v.to_bits()));
@@ -174,15 +189,20 @@ fn bits() -> Vec<u32> {
     let params = pose.init::<f32>(1);
     let mut pose_binder = Binder::new(&tape, &params, Mode::Train);
     let motion = pose.forward(&mut pose_binder, a, b);
+    let rectify = RectifyNet::new(RectifyNetConfig::nano());
+    let params = rectify.init::<f32>(1);
+    let mut rectify_binder = Binder::new(&tape, &params, Mode::Train);
+    let angles = rectify.forward(&mut rectify_binder, a, b);
     let (flow, params) = flow();
     let flow_binder = Binder::new(&tape, &params, Mode::Train);
     let field = flow.forward(&flow_binder, a, b, 2)[1];
     note(&disparity.value());
     note(&field.value());
-    let loss = disparity.mean().add(field.square().mean());
+    note(&angles.value());
+    let loss = disparity.mean().add(field.square().mean()).add(angles.square().mean());
     let loss = loss.add(motion.axis_angle.add(motion.translation).sum());
     let gradients = tape.backward(loss);
-    for binder in [depth_binder, pose_binder, flow_binder] {
+    for binder in [depth_binder, pose_binder, flow_binder, rectify_binder] {
         for item in binder.gradients(&gradients) {
             note(&item.gradient);
         }

@@ -30,6 +30,11 @@ impl DepthRange {
         disparity.scale(1.0 / self.min - 1.0 / self.max).add_scalar(1.0 / self.max)
     }
 
+    /// The disparity of a depth: 1 at the smallest, 0 at the largest, beyond them outside of (0, 1).
+    pub fn disparity(self, depth: f64) -> f64 {
+        (1.0 / depth - 1.0 / self.max) / (1.0 / self.min - 1.0 / self.max)
+    }
+
     /// Depth at the mean disparity near which training holds a network ([`SCALE_ANCHOR`]).
     pub fn usual(self) -> f64 {
         1.0 / (1.0 / self.max + (1.0 / self.min - 1.0 / self.max) * SCALE_ANCHOR)
@@ -133,6 +138,9 @@ mod tests {
         for (range, near) in [(DepthRange::MONODEPTH, 0.1), (DepthRange::SC_DEPTH, 1.0 / 10.01)] {
             let depth = range.depth(ends).value();
             assert!((depth.data()[0] - 100.0).abs() < 1e-10 && (depth.data()[1] - near).abs() < 1e-15, "{depth:?}");
+            assert_eq!([near, 100.0].map(|depth| range.disparity(depth)), [1.0, 0.0]);
+            let middle = range.depth(tape.constant(Tensor::scalar(0.25))).value().item();
+            assert!((range.disparity(middle) - 0.25).abs() < 1e-14);
         }
     }
 

@@ -7,6 +7,7 @@ pub mod alignment;
 mod bands;
 pub mod derotate;
 pub mod masks;
+pub mod matches;
 pub mod pose;
 pub mod projection;
 pub mod rigid_flow;

@@ -37,8 +37,8 @@ pub fn forward_backward<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) ->
     }
 }
 
-/// `|F + B|`, pixels, with the backward flow read where the forward flow ends: the score by which DF-VO ranks matches; it
-/// keeps those below 0.1.
+/// `|F + B|`, pixels, with the backward flow read where the forward flow ends: the score by which DF-VO ranks matches; which
+/// it keeps is [`best_matches`](super::matches::best_matches()).
 ///
 /// **Shapes**: flows (N,2,H,W), pixels; result (N,1,H,W).
 /// **Source**: Huangying-Zhan/DF-VO, `libs/deep_models/flow/deep_flow.py`.

@@ -15,7 +15,7 @@
 //!
 //! The mask also serves other losses as a weight, [`still`](dimode_geometry::taped::weighted::still).
 //!
-//! Left out: the penalty on points below the ground, which needs a ground plane from elsewhere.
+//! The penalty on points below the ground stands apart, in [`below_ground`](super::below_ground).
 
 use dimode_autodiff::{Scalar, Shape, Tensor, Var};
 use dimode_geometry::Intrinsics;

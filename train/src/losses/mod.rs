@@ -13,6 +13,7 @@
 //! | [`local_structure`] | normals are those of a [`pseudo_depth`], which may come from a [`guided_filter`] | paper; SC-DepthV3 |
 //! | [`relative_normal`] | so are angles between normals, at [`edge_pairs`] | SC-DepthV3 |
 //! | [`depth_ranking`] | so is which pixel of a pair is farther | SC-DepthV3 |
+//! | [`below_ground`] | nothing is seen below a [`ground_plane`] | Dynamo-Depth |
 //! | [`scale_anchor`] | the mean disparity stays where it is | this program |
 //! | **Motion** | | |
 //! | [`dimode_geometry::losses`] | rotation, tangential and radial motion of DiMoDE | paper |
@@ -32,6 +33,7 @@
 //! | **Parts** | | |
 //! | [`charbonnier`], [`masked`], [`gated`] | a robust penalty; means over chosen pixels of a batch, and over those below a gate | |
 
+pub mod below_ground;
 pub mod census;
 pub mod charbonnier;
 pub mod contextual_divergence;
@@ -45,6 +47,7 @@ pub mod flow_photometric;
 pub mod flow_smoothness;
 pub mod forward_backward;
 pub mod gated;
+pub mod ground_plane;
 pub mod guided_filter;
 pub mod local_structure;
 pub mod masked;
