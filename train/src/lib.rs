@@ -16,6 +16,7 @@ pub mod optim;
 pub mod pose_refinement;
 pub mod pretrain;
 pub mod progress;
+pub mod rectification;
 pub mod report;
 pub mod run;
 pub mod runlog;

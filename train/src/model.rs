@@ -1,7 +1,7 @@
 //! The three networks of a run, and their weights.
 
 use dimode_autodiff::{Scalar, Shape, Tensor, Var};
-use dimode_nets::{Binder, DepthNet, FlowNet, Network, ParamSet, PoseNet};
+use dimode_nets::{Binder, DepthNet, FlowNet, Network, ParamSet, PoseNet, RectifyNet};
 
 use crate::config::{NetsConfig, SCALE_ANCHOR};
 
@@ -56,6 +56,8 @@ pub struct Model {
     pub pose: PoseNet,
     /// Optical flow between two images.
     pub flow: FlowNet,
+    /// Rotation between two images, where it is removed first.
+    pub rectify: Option<RectifyNet>,
     /// Disparity to depth.
     pub range: DepthRange,
     /// Factors on the pose network's rotation vector, tangential and radial translation.
@@ -64,7 +66,7 @@ pub struct Model {
     pub flow_iterations: usize,
 }
 
-/// The numbers of the three networks.
+/// The numbers of the networks.
 #[derive(Clone, Debug)]
 pub struct Weights {
     /// Of the depth network.
@@ -73,6 +75,23 @@ pub struct Weights {
     pub pose: ParamSet<f32>,
     /// Of the flow network.
     pub flow: ParamSet<f32>,
+    /// Of the network that removes rotation; empty without one.
+    pub rectify: ParamSet<f32>,
+}
+
+impl Weights {
+    /// Names of the networks, as in checkpoints and logs.
+    pub const NAMES: [&'static str; 4] = ["depth", "pose", "flow", "rectify"];
+
+    /// All of them in the order of [`Weights::NAMES`].
+    pub fn sets(&self) -> [&ParamSet<f32>; 4] {
+        [&self.depth, &self.pose, &self.flow, &self.rectify]
+    }
+
+    /// All of them in the order of [`Weights::NAMES`].
+    pub fn sets_mut(&mut self) -> [&mut ParamSet<f32>; 4] {
+        [&mut self.depth, &mut self.pose, &mut self.flow, &mut self.rectify]
+    }
 }
 
 impl Model {
@@ -82,6 +101,7 @@ impl Model {
             depth: DepthNet::new(nets.depth.config()),
             pose: PoseNet::new(nets.pose.config()),
             flow: FlowNet::new(nets.flow.config()),
+            rectify: nets.rectify.config().map(RectifyNet::new),
             range: DepthRange { min: nets.min_depth, max: nets.max_depth },
             pose_scale: [nets.rotation_scale, nets.tangential_scale, nets.radial_scale],
             flow_iterations: nets.flow_iterations,
@@ -90,7 +110,8 @@ impl Model {
 
     /// Fresh weights from a seed.
     pub fn init(&self, seed: u64) -> Weights {
-        Weights { depth: self.depth.init(seed), pose: self.pose.init(seed), flow: self.flow.init(seed) }
+        let rectify = self.rectify.as_ref().map_or_else(ParamSet::new, |net| net.init(seed));
+        Weights { depth: self.depth.init(seed), pose: self.pose.init(seed), flow: self.flow.init(seed), rectify }
     }
 
     /// Depth `[n, 1, h, w]` of images `[n, 3, h, w]`, in the unit of the training run.

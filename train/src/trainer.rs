@@ -6,9 +6,9 @@
 
 use std::sync::Arc;
 
-use dimode_autodiff::{Pool, Tape, Tensor, par};
+use dimode_autodiff::{Pool, Tape, Tensor, par, rng};
 use dimode_geometry::Se3;
-use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, StatisticsUpdate};
+use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, RectifyNet, StatisticsUpdate};
 
 use crate::batch::{Batch, join};
 use crate::config::{Config, StageConfig};
@@ -19,6 +19,10 @@ use crate::observed::{BatchFlow, ObservedFlow};
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::{clip_scale, gradient_norm};
 use crate::pose_refinement::Pairs;
+use crate::rectification::{RectifiedSources, rectified_sources};
+
+/// Separates the rotations that are drawn from other random numbers of a run.
+const ROTATIONS: u64 = 0x726f_7461_7465;
 
 /// What a step did.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,8 +31,8 @@ pub struct StepReport {
     pub total: f64,
     /// The terms in order.
     pub terms: Vec<TermReport>,
-    /// Gradient norm of each trained network before clipping: depth, pose, flow.
-    pub network_gradients: [Option<f64>; 3],
+    /// Gradient norm of each trained network before clipping, in the order of [`Weights::NAMES`].
+    pub network_gradients: [Option<f64>; 4],
 }
 
 /// Networks, weights and optimiser of a run.
@@ -71,7 +75,7 @@ impl Trainer {
         );
         let Scene { losses: LossReport { mut terms, mut total }, gradients, statistics } =
             scene.map_err(|failure| failure.at(step, batch))?;
-        let [depth_gradients, pose_gradients, flow_of_scene] = gradients;
+        let [depth_gradients, pose_gradients, flow_of_scene, rectify_gradients] = gradients;
         let mut flow_step = None;
         if let Some(flow) = flow {
             let (own, gradients) = flow.map_err(|failure| failure.at(step, batch))?;
@@ -84,24 +88,25 @@ impl Trainer {
             stage.train_depth.then(|| gradient_norm(&depth_gradients)),
             stage.train_pose.then(|| gradient_norm(&pose_gradients)),
             flow_step.as_ref().map(|g| gradient_norm(g)),
+            self.trains_rectify(stage).then(|| gradient_norm(&rectify_gradients)),
         ];
-        for (norm, name) in norms.iter().zip(["depth network", "pose network", "flow network"]) {
+        for (norm, name) in norms.iter().zip(Weights::NAMES) {
             if norm.is_some_and(|n| !n.is_finite()) {
-                let term = format!("the {name}'s weights");
+                let term = format!("the {name} network's weights");
                 return Err(Failure { what: "gradient", term, sample: None }.at(step, batch));
             }
         }
         let adamw = self.adamw();
         let (mut weights, mut optimiser) = (self.weights.clone(), self.optimiser.clone());
-        let sets = [&mut weights.depth, &mut weights.pose, &mut weights.flow];
-        let gradients = [depth_gradients, pose_gradients, flow_step.unwrap_or_default()];
-        for (k, ((set, gradients), name)) in sets.into_iter().zip(gradients).zip(["depth", "pose", "flow"]).enumerate() {
+        let gradients = [depth_gradients, pose_gradients, flow_step.unwrap_or_default(), rectify_gradients];
+        for (k, ((set, gradients), name)) in weights.sets_mut().into_iter().zip(gradients).zip(Weights::NAMES).enumerate() {
             let scale = clip_scale(norms[k].unwrap_or(0.0), clip);
-            let rate = rate * [1.0, self.config.train.pose_rate, self.config.loss.flow.rate][k];
+            let rate = rate * [1.0, self.config.train.pose_rate, self.config.loss.flow.rate, 1.0][k];
             update(&adamw, &mut optimiser, set, name, gradients, rate, scale);
         }
         weights.depth.apply_statistics(&statistics[0]);
         weights.pose.apply_statistics(&statistics[1]);
+        weights.rectify.apply_statistics(&statistics[2]);
         match without_finite_square(&weights) {
             Some(failure) => return Err(failure.at(step, batch)),
             None => (self.weights, self.optimiser) = (weights, optimiser),
@@ -122,7 +127,7 @@ impl Trainer {
             return fail("the predicted depth");
         }
         let pairs = Pairs { target, source, earlier: 0, depth: Some(&depth), cameras: &batch.intrinsics };
-        let motions = self.model.motions(&self.weights.pose, Mode::Eval, &pairs, self.config.nets.pose_test_iterations);
+        let motions = self.model.predict_motions(&self.weights, &pairs, self.config.nets.pose_test_iterations);
         let is_finite = |m: &Se3| m.rotation.iter().chain(&m.translation).all(|x| x.is_finite());
         if motions.iter().all(is_finite) { Ok(()) } else { fail("the predicted motion") }
     }
@@ -151,20 +156,51 @@ impl Trainer {
         let mut depth = binder(&tape, &self.weights.depth, stage.train_depth);
         let mut pose = binder(&tape, &self.weights.pose, stage.train_pose);
         let flow = binder(&tape, &self.weights.flow, stage.train_flow);
+        let mut rectify = binder(&tape, &self.weights.rectify, stage.train_pose);
+        let rectified = self.model.rectify.as_ref().map(|net| self.rectified(net, &mut rectify, batch, step));
+        let seen = match &rectified {
+            Some(rectified) => rectified.seen.clone(),
+            None => join(&[&batch.seen.previous, &batch.seen.next]),
+        };
         let outputs = Outputs {
             flow: self.flow_between(&flow, batch, needs.flow, (stage, observed)),
-            ..self.run_networks(&tape, batch, (stage, needs), &mut depth, &mut pose)
+            rectified: rectified.as_ref().map(|rectified| rectified.plain),
+            ..self.run_networks(&tape, (batch, &seen), (stage, needs), &mut depth, &mut pose)
         };
         let given = Given { batch, stage, step, probe };
-        let (losses, of_outputs) = objective::measure(&self.config, self.model.range, &self.pool, &outputs, &given)?;
-        let gradients = tape.backward_and_free(outputs.carry(&of_outputs));
+        let (mut losses, of_outputs) = objective::measure(&self.config, self.model.range, &self.pool, &outputs, &given)?;
+        let mut total = outputs.carry(&of_outputs);
+        if let Some(rectified) = &rectified {
+            total = total.add(objective::rotation::measure(&self.config.loss, rectified, &mut losses)?);
+        }
+        let gradients = tape.backward_and_free(total);
         let of = |net: &Binder<'_, f32>, trained: bool| if trained { net.gradients(&gradients) } else { Vec::new() };
         let reaches_flow = stage.train_flow && needs.flow != FlowWays::None;
         Ok(Scene {
             losses,
-            gradients: [of(&depth, stage.train_depth), of(&pose, stage.train_pose), of(&flow, reaches_flow)],
-            statistics: [depth.into_statistics(), pose.into_statistics()],
+            gradients: [
+                of(&depth, stage.train_depth),
+                of(&pose, stage.train_pose),
+                of(&flow, reaches_flow),
+                of(&rectify, self.trains_rectify(stage)),
+            ],
+            statistics: [depth.into_statistics(), pose.into_statistics(), rectify.into_statistics()],
         })
+    }
+
+    /// Whether a stage trains the network that removes rotation: with the pose network, where there is one.
+    fn trains_rectify(&self, stage: &StageConfig) -> bool {
+        stage.train_pose && self.model.rectify.is_some()
+    }
+
+    /// The sources of a batch without rotation, previous ones first.
+    fn rectified<'t>(&self, net: &RectifyNet, binder: &mut Binder<'t, f32>, batch: &Batch, step: u64) -> RectifiedSources<'t> {
+        let (seen, plain) = (&batch.seen, &batch.plain);
+        let target = join(&[&seen.target, &seen.target]);
+        let [seen, plain] = [seen, plain].map(|images| join(&[&images.previous, &images.next]));
+        let cameras = [&batch.intrinsics[..], &batch.intrinsics[..]].concat();
+        let seed = rng::splitmix64(self.config.seed ^ ROTATIONS, step);
+        rectified_sources(net, binder, [&target, &seen, &plain], &cameras, seed)
     }
 
     /// Optical flow of a batch, as far as it is needed: with a gradient in stages that train its network, else as observed.
@@ -201,7 +237,7 @@ impl Trainer {
     fn run_networks<'t>(
         &self,
         tape: &'t Tape<f32>,
-        batch: &Batch,
+        (batch, seen_sources): (&Batch, &Tensor<f32>),
         (stage, needs): (&StageConfig, Needs),
         depth: &mut Binder<'t, f32>,
         pose: &mut Binder<'t, f32>,
@@ -209,33 +245,32 @@ impl Trainer {
         let images = &batch.seen;
         let n = batch.names.len();
         let together = needs.source_depth == SourceDepth::Gradient;
-        let seen = if together { join(&[&images.target, &images.previous, &images.next]) } else { images.target.clone() };
+        let seen = if together { join(&[&images.target, seen_sources]) } else { images.target.clone() };
         let disparities = self.model.depth.forward(depth, tape.constant(seen));
         let scales = || disparities.iter().take(self.config.loss.scales);
         let source_disparities = match needs.source_depth {
             SourceDepth::None => Vec::new(),
-            SourceDepth::Value => vec![tape.constant(self.source_disparity(batch, stage.train_depth))],
+            SourceDepth::Value => vec![tape.constant(self.source_disparity(seen_sources, stage.train_depth))],
             SourceDepth::Gradient => scales().map(|d| d.slice(0, n, 2 * n)).collect(),
         };
         let targets: Vec<_> = scales().map(|d| d.slice(0, 0, n)).collect();
         let depth = self.model.range.depth_values(&targets[0].value());
         let pairs = Pairs {
             target: &join(&[&images.target, &images.target]),
-            source: &join(&[&images.previous, &images.next]),
+            source: seen_sources,
             earlier: n,
             depth: Some(&join(&[&depth, &depth])),
             cameras: &[&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
         };
         let motion = self.model.source_from_target(pose, &pairs, self.config.nets.pose_iterations);
-        Outputs { disparities: targets, source_disparities, motion, flow: None }
+        Outputs { disparities: targets, source_disparities, motion, flow: None, rectified: None }
     }
 
     /// Disparities of the sources, previous ones first, `[2 n, 1, h, w]`: values only, on a tape that is gone afterwards.
-    fn source_disparity(&self, batch: &Batch, train: bool) -> Tensor<f32> {
-        let images = join(&[&batch.seen.previous, &batch.seen.next]);
+    fn source_disparity(&self, images: &Tensor<f32>, train: bool) -> Tensor<f32> {
         let tape = Tape::with_pool(self.pool.clone());
         let mut net = Binder::selective(&tape, &self.weights.depth, if train { Mode::Train } else { Mode::Eval }, |_| false);
-        self.model.depth.forward(&mut net, tape.constant(images))[0].value()
+        self.model.depth.forward(&mut net, tape.constant(images.clone()))[0].value()
     }
 
     /// The flow network's own terms on some pairs of the batch, and the gradients of its weights.
@@ -257,9 +292,10 @@ impl Trainer {
 /// What the losses of depth and motion say.
 struct Scene {
     losses: LossReport,
-    /// Of the weights of depth, pose and flow network.
-    gradients: [Vec<ParamGradient<f32>>; 3],
-    statistics: [Vec<StatisticsUpdate<f32>>; 2],
+    /// Of the weights, in the order of [`Weights::NAMES`].
+    gradients: [Vec<ParamGradient<f32>>; 4],
+    /// Seen by depth, pose and rectifying network.
+    statistics: [Vec<StatisticsUpdate<f32>>; 3],
 }
 
 fn binder<'t>(tape: &'t Tape<f32>, params: &ParamSet<f32>, train: bool) -> Binder<'t, f32> {
@@ -295,8 +331,7 @@ fn update(
 
 /// The first weight or running statistic whose square is not finite: nothing can be computed with it.
 fn without_finite_square(weights: &Weights) -> Option<Failure> {
-    let sets = [("depth", &weights.depth), ("pose", &weights.pose), ("flow", &weights.flow)];
-    sets.into_iter().find_map(|(network, set)| {
+    Weights::NAMES.into_iter().zip(weights.sets()).find_map(|(network, set)| {
         let bad = |tensor: &Tensor<f32>| tensor.data().iter().any(|value| !(value * value).is_finite());
         let (path, _) = set.iter().find(|(_, entry)| bad(entry.tensor()))?;
         Some(Failure { what: "square", term: format!("the updated weight {network}/{path}"), sample: None })
@@ -333,9 +368,10 @@ mod tests {
             let trainer = Trainer::new(&config, Model::new(&config.nets).init(3), State::default());
             let batch = Batch::load(self.frames.as_ref(), &[(0, 1)], (&config.train, &Teacher::None), 1, 0).unwrap();
             let tape = Tape::new();
+            let sources = join(&[&batch.seen.previous, &batch.seen.next]);
             let [mut depth, mut pose] = [&trainer.weights.depth, &trainer.weights.pose].map(|set| binder(&tape, set, true));
             trainer
-                .run_networks(&tape, &batch, (&config.train.stages[0], Needs::default()), &mut depth, &mut pose)
+                .run_networks(&tape, (&batch, &sources), (&config.train.stages[0], Needs::default()), &mut depth, &mut pose)
                 .motion
                 .to_se3()
         }

@@ -79,7 +79,7 @@ fn check(run: &Run, what: &str) {
             assert!(term.value.is_finite() && (0.0..=1.0).contains(&term.valid), "{}", context());
             assert!(term.images.iter().all(|image| image.value.is_finite()), "{}", context());
             total += term.weight * term.value;
-            let own = term.name.starts_with("l_flow");
+            let own = ["l_flow", "l_flow_back", "l_rc", "l_rt"].contains(&term.name.as_str());
             let Some(g) = term.gradients else {
                 assert!(own, "{}", context());
                 continue;
@@ -140,8 +140,10 @@ fn every_preset_trains_on_every_seed_and_world() {
 #[test]
 fn every_choice_of_every_term_trains() {
     let local = ["loss.local_structure.relative_normal=0.5", "loss.local_structure.depth_ranking=0.5"];
-    let choices: [(LossPreset, &[&str], &str); 20] = [
+    let choices: [(LossPreset, &[&str], &str); 22] = [
         (LossPreset::ScDepth, &["loss.photometric=sc-sfm"], "l_geo"),
+        (LossPreset::ScDepth, &["nets.rectify=nano"], "l_rt"),
+        (LossPreset::Monodepth2, &["nets.rectify=nano", "loss.rotation_triplet=0.5"], "l_rc"),
         (LossPreset::Monodepth2, &["loss.geometry_consistency=0.1", "loss.auto_mask=false"], "l_geo"),
         (LossPreset::Monodepth2, &["loss.smoothness_of=depth", "loss.scale_anchor=0"], "smooth"),
         (LossPreset::Dimode, &["loss.flow_consistency=0.02"], "flow_consistency"),

@@ -74,6 +74,10 @@ pub struct LossConfig {
     pub smoothness_of: SmoothnessOf,
     /// Weight of the relative difference of the depths that two views see, SC-Depth's geometry consistency.
     pub geometry_consistency: f64,
+    /// Weight of the known rotation that the network of `nets.rectify` misses.
+    pub rotation_consistency: f64,
+    /// Weight of the rotation that it leaves, beyond what it found.
+    pub rotation_triplet: f64,
     /// Weight of the plain difference of rigid and optical flow, in pixels. Not a term of the paper: a competitor, off by
     /// default.
     pub flow_consistency: f64,
@@ -112,6 +116,8 @@ impl LossConfig {
             smoothness: 1e-3,
             smoothness_of: SmoothnessOf::Disparity,
             geometry_consistency: 0.0,
+            rotation_consistency: 1.0,
+            rotation_triplet: 1.0,
             flow_consistency: 0.0,
             scale_anchor: 0.1,
             sources: Sources::Both,
@@ -127,6 +133,8 @@ impl LossConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         not_negative("loss.smoothness", self.smoothness)?;
         not_negative("loss.geometry_consistency", self.geometry_consistency)?;
+        not_negative("loss.rotation_consistency", self.rotation_consistency)?;
+        not_negative("loss.rotation_triplet", self.rotation_triplet)?;
         not_negative("loss.flow_consistency", self.flow_consistency)?;
         not_negative("loss.scale_anchor", self.scale_anchor)?;
         require((1..=4).contains(&self.scales), "loss.scales", self.scales, "must be 1 to 4")?;

@@ -23,6 +23,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::objective::{FlowWays, needs};
+
 pub use crate::data::synthetic::Preset;
 pub use data::DataConfig;
 pub use error::ConfigError;
@@ -30,7 +32,7 @@ pub use eval::EvalConfig;
 pub use flow_loss::{FlowData, FlowLossConfig, Occlusion};
 pub use local_structure::{DegradationConfig, LocalStructure, PseudoDepth};
 pub use loss::{ContextualDepth, LossConfig, Photometric, SCALE_ANCHOR, SmoothnessOf, Sources};
-pub use nets::{FirstWeights, NetsConfig};
+pub use nets::{FirstWeights, NetsConfig, Rectify};
 pub use preset::LossPreset;
 pub use suggest::nearest;
 pub use train::{Decay, StageConfig, TrainConfig};
@@ -175,7 +177,12 @@ impl Config {
         let rendered = self.loss.local_structure.pseudo_depth == PseudoDepth::Rendered;
         let key = "loss.local_structure.pseudo_depth";
         let advice = "only the embedded world is rendered; with data.path choose folder, self-guided or none";
-        error::require(!rendered || self.data.path.is_none(), key, "rendered", advice)
+        error::require(!rendered || self.data.path.is_none(), key, "rendered", advice)?;
+        let sees_flow = |stage: &StageConfig| needs(&self.loss, stage).flow != FlowWays::None;
+        let rectified = self.nets.rectify != Rectify::None;
+        let advice = "the optical flow knows nothing of the removed rotation; choose none, or a loss without optical flow such as \
+                      --loss sc-depth";
+        error::require(!rectified || !self.train.stages.iter().any(sees_flow), "nets.rectify", "on", advice)
     }
 }
 

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use dimode_nets::{DepthNetKind, FlowNetKind, PoseNetKind};
+use dimode_nets::{DepthNetKind, FlowNetKind, PoseNetKind, RectifyNetConfig};
 use serde::{Deserialize, Serialize};
 
 use super::error::{positive, require};
@@ -44,7 +44,31 @@ impl FromStr for FirstWeights {
     }
 }
 
-/// The three networks.
+/// The network that removes the rotation between two frames before depth and pose look, as SC-Depth V2 does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Rectify {
+    /// There is none.
+    #[default]
+    None,
+    /// 394 thousand parameters.
+    Nano,
+    /// The size of the reference, 13 million parameters.
+    Resnet18,
+}
+
+impl Rectify {
+    /// The sizes behind the name.
+    pub fn config(self) -> Option<RectifyNetConfig> {
+        match self {
+            Self::None => None,
+            Self::Nano => Some(RectifyNetConfig::nano()),
+            Self::Resnet18 => Some(RectifyNetConfig::resnet18()),
+        }
+    }
+}
+
+/// The networks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NetsConfig {
@@ -57,6 +81,9 @@ pub struct NetsConfig {
     /// Flow network: `nano_raft`, `nano_raft_d4` or `raft_small`.
     #[serde(with = "by_name")]
     pub flow: FlowNetKind,
+    /// Network that removes rotation first: `none`, `nano` or `resnet18`. It is trained with the pose network and goes with losses
+    /// without optical flow only.
+    pub rectify: Rectify,
     /// First weights of the flow network: `embedded`, `random` or a file.
     #[serde(with = "by_name")]
     pub flow_weights: FirstWeights,
@@ -94,6 +121,7 @@ impl Default for NetsConfig {
             depth: DepthNetKind::NanoResnet,
             pose: PoseNetKind::Nano,
             flow: FlowNetKind::NanoRaftD4,
+            rectify: Rectify::None,
             flow_weights: FirstWeights::Embedded,
             pose_weights: FirstWeights::Embedded,
             pose_iterations: 2,

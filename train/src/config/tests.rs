@@ -100,6 +100,20 @@ fn unset_settings_are_shown_as_comments() {
 }
 
 #[test]
+fn groups_that_do_not_go_together_are_refused() {
+    let refused = |text: &str| parse(text).unwrap().validate().unwrap_err().to_string();
+    let message = refused("[nets]\nrectify = \"nano\"\n");
+    assert!(message.starts_with("nets.rectify = on: the optical flow knows nothing of the removed rotation"), "{message}");
+    parse("[nets]\nrectify = \"nano\"\n[loss]\npreset = \"sc-depth\"\n").unwrap().validate().unwrap();
+    let text = "[loss.local_structure]\npseudo_depth = \"rendered\"\n";
+    parse(text).unwrap().validate().unwrap();
+    let message = refused(&format!("[data]\npath = \"frames\"\n{text}"));
+    assert!(message.contains("only the embedded world is rendered"), "{message}");
+    let message = refused("[loss.local_structure]\npseudo_depth = \"folder\"\n");
+    assert!(message.starts_with("loss.local_structure.folder = none: name the folder of the maps"), "{message}");
+}
+
+#[test]
 fn unknown_key_without_resemblance_lists_what_exists() {
     let message = refusal("[eval]\nqqqqqqqq = 1\n");
     assert!(message.contains("known here: worlds, frames"), "{message}");

@@ -16,7 +16,7 @@
 //! | [`cross_task`] | `cross_task` | `cross_task` of the stage |
 //! | [`contextual`] | `contextual`, `rigid`, `divergence` | those of the stage |
 //!
-//! The flow network's own loss, `l_flow`, is [`flow`].
+//! The flow network's own loss, `l_flow`, is [`flow`]; that of a network that removes rotation, `l_rc` and `l_rt`, is [`rotation`].
 
 mod contextual;
 mod cross_task;
@@ -28,6 +28,7 @@ mod needs;
 mod outputs;
 mod photometric;
 mod report;
+pub mod rotation;
 mod scale_anchor;
 mod scene;
 mod smoothness;

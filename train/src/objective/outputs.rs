@@ -13,6 +13,8 @@ pub struct Outputs<'t> {
     pub motion: Pose<'t, f32>,
     /// Optical flow; only where a term needs it.
     pub flow: Option<Flow<'t>>,
+    /// The sources without rotation, `[2 n, 3, h, w]`, where it was removed.
+    pub rectified: Option<Var<'t, f32>>,
 }
 
 /// Optical flow between targets and sources, `[2 n, 2, h, w]`, pixels, previous sources first.
@@ -48,6 +50,7 @@ impl<'t> Outputs<'t> {
         all.extend(&self.source_disparities);
         all.extend([self.motion.rotation, self.motion.translation]);
         all.extend(self.flow.filter(|flow| flow.trained).into_iter().flat_map(Flow::maps));
+        all.extend(self.rectified);
         all
     }
 
@@ -68,6 +71,7 @@ impl<'t> Outputs<'t> {
                 translation: tape.leaf(self.motion.translation.value()),
             },
             flow: self.flow.map(|flow| flow.on(tape)),
+            rectified: self.rectified.map(|images| tape.leaf(images.value())),
         }
     }
 }

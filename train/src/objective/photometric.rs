@@ -35,8 +35,8 @@ fn minimum_reprojection<'l>(scene: &Scene<'_, 'l>) -> Term<'l> {
     let images = &scene.batch.plain;
     let sources = scene.sources();
     let target = join(&[&images.target, &images.target]);
-    let identities = if scene.loss.auto_mask { identities(scene, &sources, &target) } else { Vec::new() };
-    let (sources, target) = (tape.constant(sources), tape.constant(target));
+    let identities = if scene.loss.auto_mask { identities(scene, &sources.value(), &target) } else { Vec::new() };
+    let target = tape.constant(target);
     let mut total = None;
     let mut valid = 0.0;
     let scales = scene.leaves.disparities.len();

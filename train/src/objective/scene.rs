@@ -117,9 +117,10 @@ impl<'a, 'l> Scene<'a, 'l> {
         self.view_pairs.get_or_init(|| ViewPairs::new(self))
     }
 
-    /// Both sources of the batch, without colour jitter.
-    pub fn sources(&self) -> Tensor<f32> {
-        join(&[&self.batch.plain.previous, &self.batch.plain.next])
+    /// Both sources of the batch, without colour jitter, and without rotation where it was removed, `[2 n, 3, h, w]`.
+    pub fn sources(&self) -> Var<'l, f32> {
+        let images = &self.batch.plain;
+        self.leaves.rectified.unwrap_or_else(|| self.tape().constant(join(&[&images.previous, &images.next])))
     }
 
     /// Images of the targets at the size of a map, `[n, 3, h, w]`.

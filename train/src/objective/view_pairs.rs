@@ -72,14 +72,14 @@ impl<'l> ViewPairs<'l> {
 fn pairs<'a, 'l>(scene: &'a Scene<'_, 'l>) -> Vec<ViewPair<'a, 'l, f32>> {
     let (n, tape) = (scene.samples(), scene.tape());
     let [mean, deviation] = COLOURS;
-    let colours = |image: &Tensor<f32>| tape.constant(image.clone()).add_scalar(-mean).scale(1.0 / deviation);
-    let images = &scene.batch.plain;
-    let target = View { image: colours(&images.target), depth: scene.depth.slice(0, 0, n) };
-    let sources = [&images.previous, &images.next].into_iter().enumerate();
-    let both_ways = sources.flat_map(|(k, source)| {
+    let colours = |image: Var<'l, f32>| image.add_scalar(-mean).scale(1.0 / deviation);
+    let target = tape.constant(scene.batch.plain.target.clone());
+    let target = View { image: colours(target), depth: scene.depth.slice(0, 0, n) };
+    let sources = colours(scene.sources());
+    let both_ways = (0..2).flat_map(|k| {
         let part = |x: Var<'l, f32>| x.slice(0, k * n, n);
         let motion = Pose { rotation: part(scene.motion().rotation), translation: part(scene.motion().translation) };
-        let reference = View { image: colours(source), depth: part(scene.source_depth()) };
+        let reference = View { image: part(sources), depth: part(scene.source_depth()) };
         let there = ViewPair { target, reference, motion, intrinsics: &scene.batch.intrinsics };
         [there, there.exchanged(motion.inverse())]
     });

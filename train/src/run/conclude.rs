@@ -17,7 +17,7 @@ use crate::eval::{
     Alignment, DepthTable, DepthTableBuilder, EvalError, Evaluation, MeanDisparity, MeanMotion, MotionTable, MotionTableBuilder,
     OdometryProtocol, TrivialDepth, align_trajectory, follow,
 };
-use crate::model::stack;
+use crate::model::{Weights, stack};
 use crate::progress::Progress;
 use crate::report::{
     Curve, CurveGroup, ReportInput, SamplePicture, StageMark, TrajectoryPlot, write_depth_png16, write_json, write_report,
@@ -228,18 +228,15 @@ fn report(
     let config = &request.config;
     let records = runlog::read(&folder.log())?;
     let seconds: f64 = records.iter().map(|r| r.seconds).sum();
-    let parameters = [
-        ("depth network", trained.weights.depth.parameter_count()),
-        ("pose network", trained.weights.pose.parameter_count()),
-        ("flow network", trained.weights.flow.parameter_count()),
-    ];
+    let parameters = Weights::NAMES.into_iter().zip(trained.weights.sets().map(|set| set.parameter_count()));
+    let parameters = parameters.filter(|(_, count)| *count > 0);
     let mut facts = vec![
         ("seed".to_owned(), config.seed.to_string()),
         ("steps x batch".to_owned(), format!("{} x {}", config.train.steps, config.train.batch)),
         ("training time".to_owned(), format!("{:.0} s", seconds)),
         ("frame size".to_owned(), format!("{} x {}", config.data.width, config.data.height)),
     ];
-    facts.extend(parameters.map(|(name, count)| (name.to_owned(), format!("{count} parameters"))));
+    facts.extend(parameters.map(|(name, count)| (format!("{name} network"), format!("{count} parameters"))));
     let mut begin = 0;
     let mut stage_marks = Vec::new();
     for (name, end) in Schedule::new(&config.train).ends() {

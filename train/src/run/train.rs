@@ -15,7 +15,7 @@ use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, hash};
 use crate::config::{Config, Decay as DecayConfig};
 use crate::data::Dataset;
-use crate::model::Model;
+use crate::model::{Model, Weights};
 use crate::objective::{FlowWays, needs};
 use crate::observed::{BatchFlow, ObservedFlow};
 use crate::optim::adamw::{Moments, State};
@@ -227,7 +227,7 @@ fn record(step: u64, stage: &str, report: &StepReport, rate: f64, seconds: f64) 
             }
         }
     }
-    for (norm, network) in report.network_gradients.iter().zip(["depth", "pose", "flow"]) {
+    for (norm, network) in report.network_gradients.iter().zip(Weights::NAMES) {
         if let Some(norm) = norm {
             record.gradient_norms.insert(format!("network/{network}"), *norm);
         }

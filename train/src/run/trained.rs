@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::Result;
 use dimode_autodiff::{Tensor, par};
 use dimode_geometry::Se3;
-use dimode_nets::{Mode, ParamSet};
+use dimode_nets::ParamSet;
 
 use super::RunFolder;
 use crate::batch::first_samples;
@@ -19,10 +19,9 @@ use crate::pose_refinement::Pairs;
 /// One tensor of a checkpoint: name, stored dimensions, values.
 pub type NamedTensor = (String, Vec<usize>, Tensor<f32>);
 
-/// The weights of the three networks as tensors of a checkpoint, named `depth/<file>:<name>` and so on.
+/// The weights of the networks as tensors of a checkpoint, named `depth/<file>:<name>` and so on.
 pub fn weight_tensors(weights: &Weights) -> Vec<NamedTensor> {
-    let sets = [("depth", &weights.depth), ("pose", &weights.pose), ("flow", &weights.flow)];
-    let tensors = sets.into_iter().flat_map(|(network, set)| {
+    let tensors = Weights::NAMES.into_iter().zip(weights.sets()).flat_map(|(network, set)| {
         set.iter().map(move |(path, entry)| (format!("{network}/{path}"), entry.dims().to_vec(), entry.tensor().clone()))
     });
     tensors.collect()
@@ -32,9 +31,8 @@ pub fn weight_tensors(weights: &Weights) -> Vec<NamedTensor> {
 ///
 /// **Errors** [`CheckpointError::Format`] when a tensor of a network is missing or has other dimensions; `path` is named.
 pub fn restore_weights(weights: &mut Weights, tensors: &[NamedTensor], path: &Path) -> Result<(), CheckpointError> {
-    restore("depth", &mut weights.depth, tensors, path)?;
-    restore("pose", &mut weights.pose, tensors, path)?;
-    restore("flow", &mut weights.flow, tensors, path)
+    let mut sets = Weights::NAMES.into_iter().zip(weights.sets_mut());
+    sets.try_for_each(|(network, set)| restore(network, set, tensors, path))
 }
 
 fn restore(network: &str, set: &mut ParamSet<f32>, tensors: &[NamedTensor], path: &Path) -> Result<(), CheckpointError> {
@@ -90,7 +88,7 @@ impl TrainedModel {
     }
 
     fn motions(&self, pairs: &Pairs<'_>) -> Vec<Se3> {
-        self.model.motions(&self.weights.pose, Mode::Eval, pairs, self.config.nets.pose_test_iterations)
+        self.model.predict_motions(&self.weights, pairs, self.config.nets.pose_test_iterations)
     }
 
     /// Goes through a sequence with a few frames in memory at a time, shows each frame with its index and its predicted depth,
