@@ -4,25 +4,24 @@
 //! second tape's leaves are what the losses say about depth, rotation and translation; they are measured there, term by term,
 //! and then carried through the networks.
 
+mod networks;
+
 use std::sync::Arc;
 
-use dimode_autodiff::{Pool, Tape, Tensor, par, rng};
+use dimode_autodiff::{Pool, Tape, Tensor, par};
 use dimode_geometry::Se3;
-use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, RectifyNet, StatisticsUpdate};
+use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, StatisticsUpdate};
 
 use crate::batch::{Batch, join};
 use crate::config::{Config, StageConfig};
 use crate::model::{Model, Weights};
 use crate::non_finite::{Failure, NonFinite};
-use crate::objective::{self, Flow, FlowWays, Given, LossReport, Needs, Outputs, SourceDepth, TermReport};
-use crate::observed::{BatchFlow, ObservedFlow};
+use crate::objective::{self, FlowWays, Given, LossReport, Outputs, TermReport};
+use crate::observed::BatchFlow;
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::{clip_scale, gradient_norm};
 use crate::pose_refinement::Pairs;
-use crate::rectification::{RectifiedSources, rectified_sources};
-
-/// Separates the rotations that are drawn from other random numbers of a run.
-const ROTATIONS: u64 = 0x726f_7461_7465;
+use networks::binder;
 
 /// What a step did.
 #[derive(Clone, Debug, PartialEq)]
@@ -193,86 +192,6 @@ impl Trainer {
         stage.train_pose && self.model.rectify.is_some()
     }
 
-    /// The sources of a batch without rotation, previous ones first.
-    fn rectified<'t>(&self, net: &RectifyNet, binder: &mut Binder<'t, f32>, batch: &Batch, step: u64) -> RectifiedSources<'t> {
-        let (seen, plain) = (&batch.seen, &batch.plain);
-        let target = join(&[&seen.target, &seen.target]);
-        let [seen, plain] = [seen, plain].map(|images| join(&[&images.previous, &images.next]));
-        let cameras = [&batch.intrinsics[..], &batch.intrinsics[..]].concat();
-        let seed = rng::splitmix64(self.config.seed ^ ROTATIONS, step);
-        rectified_sources(net, binder, [&target, &seen, &plain], &cameras, seed)
-    }
-
-    /// Optical flow of a batch, as far as it is needed: with a gradient in stages that train its network, else as observed.
-    fn flow_between<'t>(
-        &self,
-        net: &Binder<'t, f32>,
-        batch: &Batch,
-        ways: FlowWays,
-        (stage, observed): (&StageConfig, Option<&BatchFlow>),
-    ) -> Option<Flow<'t>> {
-        let both_ways = match ways {
-            FlowWays::None => return None,
-            ways => ways == FlowWays::Both,
-        };
-        let tape = net.tape();
-        if stage.train_flow {
-            let images = &batch.plain;
-            let targets = tape.constant(join(&[&images.target, &images.target]));
-            let sources = tape.constant(join(&[&images.previous, &images.next]));
-            let said =
-                |first, second| *self.model.flow.forward(net, first, second, self.model.flow_iterations).last().expect("a flow");
-            let backward = both_ways.then(|| said(sources, targets));
-            return Some(Flow { forward: said(targets, sources), backward, trained: true });
-        }
-        let put = |flow: &BatchFlow| Flow {
-            forward: tape.constant(flow.forward.clone()),
-            backward: flow.backward.as_ref().filter(|_| both_ways).map(|back| tape.constant(back.clone())),
-            trained: false,
-        };
-        let found = || ObservedFlow::default().of((&self.model, &self.weights.flow), batch, both_ways, &self.pool);
-        Some(observed.map_or_else(|| put(&found()), put))
-    }
-
-    fn run_networks<'t>(
-        &self,
-        tape: &'t Tape<f32>,
-        (batch, seen_sources): (&Batch, &Tensor<f32>),
-        (stage, needs): (&StageConfig, Needs),
-        depth: &mut Binder<'t, f32>,
-        pose: &mut Binder<'t, f32>,
-    ) -> Outputs<'t> {
-        let images = &batch.seen;
-        let n = batch.names.len();
-        let together = needs.source_depth == SourceDepth::Gradient;
-        let seen = if together { join(&[&images.target, seen_sources]) } else { images.target.clone() };
-        let disparities = self.model.depth.forward(depth, tape.constant(seen));
-        let scales = || disparities.iter().take(self.config.loss.scales);
-        let source_disparities = match needs.source_depth {
-            SourceDepth::None => Vec::new(),
-            SourceDepth::Value => vec![tape.constant(self.source_disparity(seen_sources, stage.train_depth))],
-            SourceDepth::Gradient => scales().map(|d| d.slice(0, n, 2 * n)).collect(),
-        };
-        let targets: Vec<_> = scales().map(|d| d.slice(0, 0, n)).collect();
-        let depth = self.model.range.depth_values(&targets[0].value());
-        let pairs = Pairs {
-            target: &join(&[&images.target, &images.target]),
-            source: seen_sources,
-            earlier: n,
-            depth: Some(&join(&[&depth, &depth])),
-            cameras: &[&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
-        };
-        let motion = self.model.source_from_target(pose, &pairs, self.config.nets.pose_iterations);
-        Outputs { disparities: targets, source_disparities, motion, flow: None, rectified: None }
-    }
-
-    /// Disparities of the sources, previous ones first, `[2 n, 1, h, w]`: values only, on a tape that is gone afterwards.
-    fn source_disparity(&self, images: &Tensor<f32>, train: bool) -> Tensor<f32> {
-        let tape = Tape::with_pool(self.pool.clone());
-        let mut net = Binder::selective(&tape, &self.weights.depth, if train { Mode::Train } else { Mode::Eval }, |_| false);
-        self.model.depth.forward(&mut net, tape.constant(images.clone()))[0].value()
-    }
-
     /// The flow network's own terms on some pairs of the batch, and the gradients of its weights.
     fn flow_gradients(&self, batch: &Batch) -> Result<(Vec<TermReport>, Vec<ParamGradient<f32>>), Failure> {
         let tape = Tape::with_pool(self.pool.clone());
@@ -296,10 +215,6 @@ struct Scene {
     gradients: [Vec<ParamGradient<f32>>; 4],
     /// Seen by depth, pose and rectifying network.
     statistics: [Vec<StatisticsUpdate<f32>>; 3],
-}
-
-fn binder<'t>(tape: &'t Tape<f32>, params: &ParamSet<f32>, train: bool) -> Binder<'t, f32> {
-    if train { Binder::new(tape, params, Mode::Train) } else { Binder::frozen(tape, params) }
 }
 
 /// The sums of two lists of gradients of one network, the second of which may be empty.
@@ -343,6 +258,7 @@ mod tests {
     use super::*;
     use crate::config::NetsConfig;
     use crate::data::Dataset;
+    use crate::objective::Needs;
     use crate::run::trained::weight_tensors;
     use crate::run::training_frames;
     use crate::teacher::Teacher;
