@@ -2,8 +2,8 @@
 //! JiawangBian/sc_depth_pl, `SC_DepthV2.py`).
 //!
 //! The network says Euler angles: `r1` of (target, reference), `r2` of (target, reference after removal of `r1` by
-//! [`derotate`]), `r3` of (an image that was turned by known angles `g`, reference). [`rectify`] makes the three passes; the losses
-//! are also functions of the angles alone.
+//! [`derotate`](derotate()), `r3` of (an image that was turned by known angles `g`, reference). [`rectify()`] makes the three
+//! passes; the losses are also functions of the angles alone.
 //!
 //! **Formula**: consistency `mean |r3 - g|`, triplet `mean max(|r2| - |r1| + 0.05, 0)` entry by entry, both of weight 1. The known
 //! angles are `sg(r1)` when `0.02 < mean |r1| < 0.1`, else drawn from U(-0.05, 0.05).
