@@ -140,7 +140,7 @@ fn every_preset_trains_on_every_seed_and_world() {
 #[test]
 fn every_choice_of_every_term_trains() {
     let local = ["loss.local_structure.relative_normal=0.5", "loss.local_structure.depth_ranking=0.5"];
-    let choices: [(LossPreset, &[&str], &str); 22] = [
+    let choices: [(LossPreset, &[&str], &str); 24] = [
         (LossPreset::ScDepth, &["loss.photometric=sc-sfm"], "l_geo"),
         (LossPreset::ScDepth, &["nets.rectify=nano"], "l_rt"),
         (LossPreset::Monodepth2, &["nets.rectify=nano", "loss.rotation_triplet=0.5"], "l_rc"),
@@ -149,6 +149,8 @@ fn every_choice_of_every_term_trains() {
         (LossPreset::Dimode, &["loss.flow_consistency=0.02"], "flow_consistency"),
         (LossPreset::Dimode, &["loss.occlusion=forward-backward", "loss.flow_consistency=0.02"], "flow_consistency"),
         (LossPreset::Dimode, &["loss.occlusion=range-map"], "l_rad"),
+        (LossPreset::Dimode, &["loss.occlusion=best-matches", "loss.geometric.static_mask=agreeing"], "l_pla"),
+        (LossPreset::Monodepth2, &["loss.below_ground=0.1"], "below_ground"),
         (LossPreset::Dimode, &["loss.geometric.static_mask=dynamo-grid", "loss.sources=next"], "l_tan"),
         (LossPreset::Dimode, &["loss.geometric.detach_source_depth=false", "loss.scales=2"], "l_axi"),
         (LossPreset::Dimode, &["loss.local_structure.pseudo_depth=rendered", local[0], local[1]], "l_loc_ranking"),

@@ -15,6 +15,8 @@ pub enum StaticMask {
     Mean,
     /// [`masks::static_on_grid`], as Dynamo-Depth has it: the mean over the whole batch, distances in units of a sampling grid.
     DynamoGrid,
+    /// [`masks::agreeing`] within 5 pixels, as DF-VO tells moving things.
+    Agreeing,
     /// [`masks::relatively_static`]: squared difference relative to the flow below four times its mean. Large flows may be
     /// far off at first.
     Relative,
@@ -31,6 +33,7 @@ impl StaticMask {
             Self::None => within,
             Self::Mean => masks::static_pixels(rigid, optical, Some(&within)),
             Self::DynamoGrid => masks::all_of(&[&within, &masks::static_on_grid(rigid, optical)]),
+            Self::Agreeing => masks::all_of(&[&within, &masks::agreeing(rigid, optical, 5.0)]),
             Self::Relative => masks::relatively_static(rigid, optical, Some(&within)),
         }
     }
@@ -52,6 +55,7 @@ mod tests {
         let kept = |mask: StaticMask| mask.among(within.clone(), &rigid, &flow).to_vec();
         assert_eq!(kept(StaticMask::None), [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]);
         assert_eq!(kept(StaticMask::Mean), [0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]);
+        assert_eq!(kept(StaticMask::Agreeing), [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]);
         assert_eq!(kept(StaticMask::Relative), [1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]);
     }
 

@@ -85,6 +85,8 @@ pub struct LossConfig {
     /// to a common scale of depth and translation, so this changes no solution; it keeps the sigmoid from saturating while
     /// the pose network knows nothing yet.
     pub scale_anchor: f64,
+    /// Weight of Dynamo-Depth's penalty on points below the ground, which is found in the lower part of the depth itself; 0.1 there.
+    pub below_ground: f64,
     /// Neighbours that the geometric and contextual terms use.
     pub sources: Sources,
     /// Where the optical flow is trusted in flow consistency and in the geometric terms, beside the static mask.
@@ -120,6 +122,7 @@ impl LossConfig {
             rotation_triplet: 1.0,
             flow_consistency: 0.0,
             scale_anchor: 0.1,
+            below_ground: 0.0,
             sources: Sources::Both,
             occlusion: Occlusion::InView,
             contextual: ContextualDepth::Radial,
@@ -137,6 +140,7 @@ impl LossConfig {
         not_negative("loss.rotation_triplet", self.rotation_triplet)?;
         not_negative("loss.flow_consistency", self.flow_consistency)?;
         not_negative("loss.scale_anchor", self.scale_anchor)?;
+        not_negative("loss.below_ground", self.below_ground)?;
         require((1..=4).contains(&self.scales), "loss.scales", self.scales, "must be 1 to 4")?;
         self.local_structure.validate()?;
         self.flow.validate()?;

@@ -55,6 +55,7 @@ fn terms<'t>(
     let visible = match (settings.occlusion, &back_value) {
         (Occlusion::ForwardBackward, Some(back)) => Visibility::ForwardBackward(back),
         (Occlusion::RangeMap, Some(back)) => Visibility::Reached(back, REACHED),
+        // A choice of matches is refused here; the flow back is missing only where nothing looks at it.
         _ => Visibility::InView,
     };
     let data = match settings.data {

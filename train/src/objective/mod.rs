@@ -10,6 +10,7 @@
 //! | [`view_pairs`] | `l_geo` | `loss.geometry_consistency` |
 //! | [`smoothness`] | `smooth` | `loss.smoothness` |
 //! | [`scale_anchor`] | `scale` | `loss.scale_anchor` |
+//! | [`below_ground`] | `below_ground` | `loss.below_ground` |
 //! | [`local_structure`] | `l_loc_normals`, `l_loc_angles`, `l_loc_ranking` | `lambda3` of the stage, and a pseudo-depth |
 //! | [`flow_consistency`] | `flow_consistency` | `loss.flow_consistency` |
 //! | [`geometric`] | `l_pla`, `l_axi`, `l_tan`, `l_rad` | `lambda1`, `lambda2` of the stage |
@@ -18,6 +19,7 @@
 //!
 //! The flow network's own loss, `l_flow`, is [`flow`]; that of a network that removes rotation, `l_rc` and `l_rt`, is [`rotation`].
 
+mod below_ground;
 mod contextual;
 mod cross_task;
 pub mod flow;
@@ -51,11 +53,12 @@ use scene::Scene;
 use term::TermKind;
 
 /// The terms in the order in which they are summed.
-const TERMS: [TermKind; 9] = [
+const TERMS: [TermKind; 10] = [
     photometric::KIND,
     view_pairs::KIND,
     smoothness::KIND,
     scale_anchor::KIND,
+    below_ground::KIND,
     local_structure::KIND,
     flow_consistency::KIND,
     geometric::KIND,

@@ -4,7 +4,9 @@ use std::cell::OnceCell;
 
 use dimode_autodiff::{Tape, Tensor, Var};
 use dimode_geometry::Intrinsics;
-use dimode_geometry::taped::{self, Pose, masks, visibility};
+use dimode_geometry::taped::matches::{Matching, best_matches_mask};
+use dimode_geometry::taped::visibility::{consistency_score, reached};
+use dimode_geometry::taped::{self, Pose, masks};
 
 use super::outputs::{Flow, Outputs};
 use super::view_pairs::ViewPairs;
@@ -108,7 +110,10 @@ impl<'a, 'l> Scene<'a, 'l> {
         match self.loss.occlusion {
             Occlusion::InView => seen,
             Occlusion::ForwardBackward => masks::all_of(&[&seen, &masks::not_occluded(&forward, &backward())]),
-            Occlusion::RangeMap => masks::all_of(&[&seen, &visibility::reached(&backward(), REACHED)]),
+            Occlusion::BestMatches => {
+                masks::all_of(&[&seen, &best_matches_mask(&consistency_score(&forward, &backward()), Matching::default())])
+            }
+            Occlusion::RangeMap => masks::all_of(&[&seen, &reached(&backward(), REACHED)]),
         }
     }
 
