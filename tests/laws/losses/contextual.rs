@@ -178,7 +178,7 @@ fn nothing_counts_beyond_the_gates() {
     for form in [Contextual::Radial(ContextualForm::Corrected), Contextual::Triangulated(TriangulatedForm::Corrected)] {
         assert_nothing(&form, &scene);
     }
-    assert_nothing(&Contextual::Rigid, &noisy(-1.0, 120).with_leaf(0, |f, _, _, _, _| -f));
+    assert_nothing(&Contextual::Rigid, &noisy(-1.0, 120).with_leaf(0, |_, _, _, _, _| 9.0));
     assert_nothing(&Contextual::Divergence(ContextualForm::Corrected, DivergenceForm::Corrected), &scene);
 }
 

@@ -163,6 +163,8 @@ fn gradients_are_right_beside_hazards() {
     for (sign, seed) in [(-1.0, 10), (1.0, 20), (-1.0, 30)] {
         let scene = hazardous(sign, seed);
         for loss in all(both_conventions()) {
+            // Differences would see what is detached.
+            let loss = Geometric { options: LossOptions { detach_source_depth: false, ..loss.options }, ..loss };
             // Means over pixels of weight 0 to 1 as well.
             if seed != 30 {
                 assert_gradient(&loss, &scene, CHECK);
@@ -208,21 +210,29 @@ fn degenerate() -> Vec<(&'static str, Scene)> {
     ]
 }
 
+/// The printed angles, whose arccos has an infinite derivative where a cosine is exactly 1 or -1.
+fn by_arccos(loss: &Geometric) -> bool {
+    match loss.term {
+        0 => loss.options.planar == PlanarForm::Literal,
+        1 => loss.options.axial == AxialForm::Literal,
+        _ => false,
+    }
+}
+
 #[test]
 fn numbers_are_finite_at_hazards() {
-    let mut failures = Vec::new();
     for (name, scene) in degenerate() {
-        for loss in all(both_conventions()) {
-            let outcome = std::panic::catch_unwind(|| assert_finite(&loss, &scene));
-            if let Err(e) = outcome {
-                failures.push(format!("{name}: {}", e.downcast_ref::<String>().cloned().unwrap_or_default()));
-            }
-        }
+        println!("{name}");
+        all(both_conventions()).filter(|l| !by_arccos(l)).for_each(|loss| assert_finite(&loss, &scene));
     }
-    for f in &failures {
-        eprintln!("FAIL {}", f.replace("LossOptions", ""));
+}
+
+#[test]
+fn printed_angles_are_finite_also_at_exact_cosines() {
+    for (name, scene) in degenerate() {
+        println!("{name}");
+        all(both_conventions()).filter(by_arccos).for_each(|loss| assert_finite(&loss, &scene));
     }
-    assert!(failures.is_empty(), "{}", failures.len());
 }
 
 #[test]

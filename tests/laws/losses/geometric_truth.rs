@@ -89,6 +89,18 @@ fn the_printed_alignment_leaves_a_residual_that_grows_with_the_rotation() {
 }
 
 #[test]
+fn a_component_of_exactly_nothing_is_left_out_of_the_printed_sums() {
+    let printed = LossOptions { convention: Convention::Consistent, ..LossOptions::literal() };
+    let of = |t: [f64; 3], term| value(&Geometric { term, options: printed }, &facing(&vec![motion([0.0; 3], t); 3]));
+    for t in [[0.5, 0.0, 0.0], [0.0, -0.5, 0.0]] {
+        let found = of(t, 2);
+        assert!(found < 1e-12, "{t:?}: {found}");
+        // Where rounding leaves a flow, its ratio times no translation is off by all of the depth: A is 1 at most.
+        assert!(of(t, 3) < 1.0 + 1e-12);
+    }
+}
+
+#[test]
 fn a_road_costs_what_reading_its_depth_between_pixels_costs() {
     let unitless = LossOptions { tangential: TangentialForm::InverseRatio, radial: RadialForm::InverseRatio, q_min: 2.0, ..robust() };
     for sign in [-1.0, 1.0] {
@@ -101,7 +113,7 @@ fn a_road_costs_what_reading_its_depth_between_pixels_costs() {
         println!("slanted plane, 2x: {coarse:?}, 8x: {fine:?}");
         for (coarse, fine) in coarse.iter().zip(&fine) {
             // Second order in the size of a pixel: 1/16, but for pixels that come and go at the border.
-            assert!(*fine < 0.1 * coarse && *coarse > 1e-9, "{coarse} {fine}");
+            assert!(*fine < 0.12 * coarse && *coarse > 1e-9, "{coarse} {fine}");
         }
     }
 }

@@ -83,7 +83,7 @@ pub fn between_pixels(flow: &Tensor<f64>) -> Tensor<f64> {
     Tensor::from_fn(flow.shape(), |n, c, h, w| {
         let (at, f) = ([w, h][c] as f64, flow.at(n, c, h, w));
         let cell = (at + f).floor();
-        cell + (at + f - cell).clamp(0.15, 0.85) - at
+        cell + 0.15 + 0.7 * (at + f - cell) - at
     })
 }
 
