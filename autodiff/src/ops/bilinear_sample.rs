@@ -8,6 +8,7 @@
 //! Kinks: at integer coordinates the derivative of the cell to the right (below) is taken; where the clamp of `Border` is
 //! active, u <= 0 or u >= W-1, the derivative by u is 0, and likewise for v.
 //! A coordinate that is NaN gives NaN in every channel and passes no gradient; infinite ones lie outside like any other.
+//! Where the incoming gradient is 0 the coordinates get none, whatever the image holds there.
 //! Keeps: both arguments; the weights are computed again in the backward pass.
 
 use super::sample_axis::AxisTap;
@@ -142,6 +143,10 @@ impl Sampler {
             for (pixels, g) in image.chunks_exact(plane).zip(g.chunks_exact(out_plane)) {
                 let along = along_u[start..].iter_mut().zip(&mut along_v[start..]);
                 for (((gu, gv), &g), tap) in along.zip(&g[start..]).zip(taps) {
+                    // A reading that no one uses may be infinite.
+                    if g == T::ZERO {
+                        continue;
+                    }
                     let cell = self.cell(pixels, tap.base);
                     *gu += g * dot(&tap.by_u, cell);
                     *gv += g * dot(&tap.by_v, cell);

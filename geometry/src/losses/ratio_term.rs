@@ -57,11 +57,7 @@ impl<'t, T: Scalar> RatioTerm<'t, T> {
         let recovered = weighted_mean(of.inverse, &of.mask);
         let difference = recovered.sub(a);
         let aggregate_error = match robust {
-            None => {
-                let moves = nonzero(&a.value());
-                let part = |x: Var<'t, T>, filler| x.select(&moves, pair.constant(&Tensor::full(x.shape(), T::from_f64(filler))));
-                part(difference, 0.0).div(part(a, 1.0)).abs()
-            }
+            None => printed_error(pair, difference, a),
             Some(options) => difference.abs().div(a.abs().maximum(smallest_divisor(pair, options))),
         };
         Self { ratio: of.ratio, pixels, pixel_error, recovered, aggregate_error, mask: of.mask }
@@ -91,9 +87,11 @@ fn pixel_error<'t, T: Scalar>(
     (weighted_mean(error, &kept), kept)
 }
 
-/// 1 where an entry is not 0.
-fn nonzero<T: Scalar>(x: &Tensor<T>) -> Tensor<T> {
-    Tensor::from_vec(x.shape(), x.data().iter().map(|&x| if x == T::ZERO { T::ZERO } else { T::ONE }).collect())
+/// `|difference / a|`; 0 without gradient where `a` is exactly 0 and the quotient says nothing.
+fn printed_error<'t, T: Scalar>(pair: &AlignedPair<'t, T>, difference: Var<'t, T>, a: Var<'t, T>) -> Var<'t, T> {
+    let moves = a.value();
+    let constant = |x: f64| pair.constant(&Tensor::full(a.shape(), T::from_f64(x)));
+    difference.select(&moves, constant(0.0)).div(a.select(&moves, constant(1.0))).abs()
 }
 
 /// `max(tau_translation, kappa |a|)` of every sample, without gradient.

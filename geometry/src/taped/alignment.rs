@@ -8,7 +8,7 @@
 //! Vector-Jacobian products, with `A = g_pla f / z_pla`, `B = g_axi f / z_axi` (two components each),
 //! `C_pla = g_zpla - (g_pla . f_pla) / z_pla`, `C_axi` likewise and `S = (A + B, C_pla + C_axi)`:
 //! to `D`: `n . S`; to `a`: `-B_x`, `-B_y`, `x A_x + y A_y - C_pla`; to `e`: `D (S_x, S_y, S_z - x S_x - y S_y)`;
-//! from there to `R` through `b` and to the flow through `b` and `n`.
+//! from there to `R` through `b` and to the flow through `b` and `n`. Pixels without incoming gradient have none, whatever they hold.
 
 use dimode_autodiff::{GradSink, Scalar, Shape, Tensor, Var, par};
 
@@ -214,8 +214,11 @@ fn backward_row<T: Scalar>(
     let min = T::from_f64(MIN_DEPTH);
     #[allow(clippy::needless_range_loop)] // one index over many rows
     for j in 0..w {
-        let d = depth[j];
-        let (dx, dy) = (fu[j] * inv_fu, fv[j] * inv_fv);
+        // What no gradient comes from may be anything, and 0 times anything may be NaN: sums over pixels must not see it.
+        let g = [g1[j], g2[j], g3[j], g4[j], g5[j], g6[j]];
+        let used = g.iter().fold(false, |used, &g| used | (g != T::ZERO));
+        let d = if used { depth[j] } else { T::ONE };
+        let (dx, dy) = if used { (fu[j] * inv_fu, fv[j] * inv_fv) } else { (T::ZERO, T::ZERO) };
         xs[j] = x[j] + dx;
         ys[j] = y + dy;
         let e = turn(m, xs[j], ys[j]);

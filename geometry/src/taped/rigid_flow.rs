@@ -6,7 +6,8 @@
 //!
 //! Vector-Jacobian products, with `a = g_u fu / Z`, `b = g_v fv / Z`, `c = g_z - (g_u f_u + g_v f_v) / Z`:
 //! to the depth `a (e_x - x e_z) + b (e_y - y e_z) + c (1 + e_z)`; to `t` the sums of
-//! `(a, b, c - a x - b y)`; to row `i` of `R` the sums of `z` times those numbers times the ray.
+//! `(a, b, c - a x - b y)`; to row `i` of `R` the sums of `z` times those numbers times the ray. Pixels without incoming gradient
+//! have none, whatever they hold.
 
 use dimode_autodiff::{GradSink, Scalar, Shape, Tensor, Var, par};
 
@@ -167,20 +168,23 @@ fn backward_row<T: Scalar>(m: &Motion<T>, y: T, x: &[T], z: &[T], g: [&[T]; 3], 
     #[allow(clippy::needless_range_loop)] // one index over many rows
     for j in 0..w {
         let e: [T; 3] = std::array::from_fn(|i| m.e[i][0] * x[j] + c[i]);
-        let depth = z[j] * (T::ONE + e[2]) + m.t[2];
+        // What no gradient comes from may be anything, and 0 times anything may be NaN: sums over pixels must not see it.
+        let used = (gu[j] != T::ZERO) | (gv[j] != T::ZERO) | (gz[j] != T::ZERO);
+        let z = if used { z[j] } else { T::ONE };
+        let depth = z * (T::ONE + e[2]) + m.t[2];
         let (inverse, gz) = if depth > min { (T::ONE / depth, gz[j]) } else { (T::ZERO, T::ZERO) };
         let (nx, ny) = (e[0] - x[j] * e[2], e[1] - y * e[2]);
         let a = gu[j] * m.fu * inverse;
         let b = gv[j] * m.fv * inverse;
-        let c = gz - (a * (z[j] * nx + (m.t[0] - x[j] * m.t[2])) + b * (z[j] * ny + (m.t[1] - y * m.t[2]))) * inverse;
+        let c = gz - (a * (z * nx + (m.t[0] - x[j] * m.t[2])) + b * (z * ny + (m.t[1] - y * m.t[2]))) * inverse;
         let s = c - a * x[j] - b * y;
         grad[j] = a * nx + b * ny + c * (T::ONE + e[2]);
         tx[j] = a;
         ty[j] = b;
         tz[j] = s;
-        ex[j] = a * z[j];
-        ey[j] = b * z[j];
-        ez[j] = s * z[j];
+        ex[j] = a * z;
+        ey[j] = b * z;
+        ez[j] = s * z;
     }
 }
 

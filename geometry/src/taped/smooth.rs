@@ -8,29 +8,29 @@ use dimode_autodiff::{GradSink, Scalar, Tensor, Var};
 
 /// `sqrt(x^2 + eps^2) - eps`, entry by entry.
 ///
-/// **Gradient**: `g x / sqrt(x^2 + eps^2)`, 0 at `x = 0`.
+/// **Gradient**: `g x / sqrt(x^2 + eps^2)`, 0 at `x = 0`, and 0 where `g = 0` whatever `x` is.
 #[track_caller]
 pub fn soft_abs<T: Scalar>(x: Var<'_, T>, eps: f64) -> Var<'_, T> {
     let (tip, value) = (T::from_f64(eps), x.value());
     let mut y = x.tape().scratch(value.shape().len());
     kernel::map(&mut y, value.data(), |x| (x * x + tip * tip).sqrt() - tip);
     let y = x.tape().tensor(value.shape(), y);
-    let record =
-        move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-            if let Some(mut slot) = grads.slot(0) {
-                slot.write(|out| {
-                    kernel::zip(out, value.data(), g.data(), |x, g| {
-                        if x == T::ZERO { T::ZERO } else { g * x / (x * x + tip * tip).sqrt() }
-                    });
+    let record = move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+        if let Some(mut slot) = grads.slot(0) {
+            slot.write(|out| {
+                kernel::zip(out, value.data(), g.data(), |x, g| {
+                    if x == T::ZERO || g == T::ZERO { T::ZERO } else { g * x / (x * x + tip * tip).sqrt() }
                 });
-            }
-        };
+            });
+        }
+    };
     x.tape().push("soft_abs", y, &[x], record)
 }
 
 /// `sqrt(x^2 + y^2 + eps^2) - eps`, entry by entry, of two tensors of one shape.
 ///
-/// **Gradient**: `g x / l`, `g y / l` with the length `l` before `eps` comes off; 0 where `l = 0`.
+/// **Gradient**: `g x / l`, `g y / l` with the length `l` before `eps` comes off; 0 where `l = 0`, and where `g = 0` whatever
+/// stands there.
 /// **Panics** when the shapes differ.
 #[track_caller]
 pub fn length<'t, T: Scalar>(x: Var<'t, T>, y: Var<'t, T>, eps: f64) -> Var<'t, T> {
@@ -46,7 +46,7 @@ pub fn length<'t, T: Scalar>(x: Var<'t, T>, y: Var<'t, T>, eps: f64) -> Var<'t, 
             if let Some(mut slot) = grads.slot(k) {
                 slot.write(|grad| {
                     kernel::zip3(grad, part.data(), saved.data(), g.data(), |x, l, g| {
-                        if x == T::ZERO { T::ZERO } else { g * x / (l + tip) }
+                        if x == T::ZERO || g == T::ZERO { T::ZERO } else { g * x / (l + tip) }
                     });
                 });
             }

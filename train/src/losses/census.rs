@@ -157,6 +157,10 @@ fn backward<T: Scalar>([own, other, g]: [&[T]; 3], out: &mut [T], shape: Shape, 
     let (softness, saturation) = (T::from_f64(SOFTNESS), T::from_f64(SATURATION));
     let twice = T::from_f64(2.0 * SATURATION);
     for_each_cell(shape, radius, |p, cell| {
+        // Masked pixels may hold anything.
+        if g[p] == T::ZERO {
+            return;
+        }
         let difference = |g: &[T]| cell.map_or(T::ZERO, |cell| g[cell]) - g[p];
         let d = difference(own);
         let e = code(d) - code(difference(other));

@@ -38,6 +38,7 @@ pub fn divergence_agreement<'t, T: Scalar>(
     centre: ContextualForm,
     form: DivergenceForm,
 ) -> Gated<'t, T> {
+    let (inputs, finite) = inputs.without_holes();
     let (q, f) = (inputs.offsets(centre), inputs.translational_flow(centre));
     let backward = inputs.translation(2).neg();
     let scale = match form {
@@ -48,7 +49,7 @@ pub fn divergence_agreement<'t, T: Scalar>(
         DivergenceForm::Corrected => inner_pixels(inputs.shape()),
         DivergenceForm::AsCoded => Tensor::full(inputs.shape(), T::ONE),
     };
-    let usable = usable(&inner, &scale.value(), &backward.value());
+    let usable = usable(&surrounded(&inner, &finite), &scale.value(), &backward.value());
     let one = inputs.constant(Tensor::full(inputs.shape(), T::ONE));
     let (scale, backward) = (scale.select(&usable, one), backward.select(&usable, one));
     let divergence = central(f.slice(1, 0, 1), 3).add(central(f.slice(1, 1, 1), 2));
@@ -71,6 +72,17 @@ fn central<T: Scalar>(x: Var<'_, T>, axis: usize) -> Var<'_, T> {
 /// 1 but for a frame of one pixel.
 fn inner_pixels<T: Scalar>(shape: Shape) -> Tensor<T> {
     super::census::framed(&Tensor::full(shape, T::ONE), 1)
+}
+
+/// Pixels of a mask that are in another with the neighbours that differences take.
+fn surrounded<T: Scalar>(mask: &Tensor<T>, by: &Tensor<T>) -> Tensor<T> {
+    let s = mask.shape();
+    let around = |n: usize, h: usize, w: usize| {
+        let rows = h.saturating_sub(1)..(h + 2).min(s.h());
+        let columns = w.saturating_sub(1)..(w + 2).min(s.w());
+        rows.map(|h| by.at(n, 0, h, w)).chain(columns.map(|w| by.at(n, 0, h, w))).all(|m| m != T::ZERO)
+    };
+    Tensor::from_fn(s, |n, c, h, w| if around(n, h, w) { mask.at(n, c, h, w) } else { T::ZERO })
 }
 
 /// Pixels of a mask where both numbers can be divided by.

@@ -92,6 +92,22 @@ impl<'t, T: Scalar> ContextualInputs<'_, 't, T> {
         self.constant(Tensor::from_fn(s.with_c(2), |n, c, h, w| T::from_f64([w, h][c] as f64 - centre(n)[c])))
     }
 
+    /// The inputs with harmless numbers where flow or depth is not finite, and the pixels where both are. No gate lets such a pixel
+    /// pass, but 0 times its numbers would be NaN on the way back.
+    pub(super) fn without_holes(self) -> (Self, Tensor<T>) {
+        let (shape, flow, depth) = (self.shape(), self.flow.value(), self.depth.value());
+        let whole = |n, h, w| [flow.at(n, 0, h, w), flow.at(n, 1, h, w), depth.at(n, 0, h, w)].iter().all(|x| x.is_finite());
+        let one = |yes| if yes { T::ONE } else { T::ZERO };
+        let finite = Tensor::from_fn(shape, |n, _, h, w| one(whole(n, h, w)));
+        if finite.data().iter().all(|&f| f != T::ZERO) {
+            return (self, finite);
+        }
+        let both = Tensor::from_fn(flow.shape(), |n, _, h, w| finite.at(n, 0, h, w));
+        let flow = self.flow.select(&both, self.constant(Tensor::zeros(both.shape())));
+        let depth = self.depth.select(&finite, self.constant(Tensor::full(shape, T::ONE)));
+        (Self { flow, depth, ..self }, finite)
+    }
+
     /// `f_opt - sg(f_rot)`.
     pub(super) fn translational_flow(&self, form: ContextualForm) -> Var<'t, T> {
         let rotational = match form {
@@ -122,10 +138,11 @@ pub fn stretched<T: Scalar>(flow: &Tensor<T>) -> Tensor<T> {
 /// When shapes differ.
 #[track_caller]
 pub fn radial_depth<'t, T: Scalar>(inputs: &ContextualInputs<'_, 't, T>, form: ContextualForm) -> Gated<'t, T> {
+    let (inputs, finite) = inputs.without_holes();
     let (q, f) = (inputs.offsets(form), inputs.translational_flow(form));
     let along = dot(q, f);
     let upper = inputs.translation(2).mul(dot(q, q).add(along)).neg();
-    depth_error(upper, along.add_scalar(GUARD), inputs.depth)
+    depth_error(upper, along.add_scalar(GUARD), inputs.depth, &finite)
 }
 
 /// Error of the depth triangulated from the sum of both image equations ("v1").
@@ -136,6 +153,7 @@ pub fn radial_depth<'t, T: Scalar>(inputs: &ContextualInputs<'_, 't, T>, form: C
 /// When shapes differ.
 #[track_caller]
 pub fn triangulated_depth<'t, T: Scalar>(inputs: &ContextualInputs<'_, 't, T>, form: TriangulatedForm) -> Gated<'t, T> {
+    let (inputs, finite) = inputs.without_holes();
     let s = inputs.shape();
     let column = Shape::new(s.n(), 1, 3, 1);
     let (rotation, translation) = match form {
@@ -159,7 +177,7 @@ pub fn triangulated_depth<'t, T: Scalar>(inputs: &ContextualInputs<'_, 't, T>, f
     let t = |k: usize| part(translation, k).broadcast_to(s);
     let upper = t(0).add(t(1)).sub(t(2).mul(sum));
     let lower = part(turned, 2).mul(sum).sub(part(turned, 0).add(part(turned, 1))).add_scalar(GUARD);
-    depth_error(upper, lower, inputs.depth)
+    depth_error(upper, lower, inputs.depth, &finite)
 }
 
 /// `depth + 0.2 divergence + 0.2 rigid`; DCPI-Depth adds [`WEIGHT`] times that to its loss.
@@ -175,8 +193,8 @@ pub(super) fn dot<'t, T: Scalar>(a: Var<'t, T>, b: Var<'t, T>) -> Var<'t, T> {
     product.sum_to(product.shape().with_c(1))
 }
 
-/// `|upper / lower - D| / (D + 1e-5)`, gated.
-fn depth_error<'t, T: Scalar>(upper: Var<'t, T>, lower: Var<'t, T>, depth: Var<'t, T>) -> Gated<'t, T> {
+/// `|upper / lower - D| / (D + 1e-5)`, gated, of the pixels of a mask.
+fn depth_error<'t, T: Scalar>(upper: Var<'t, T>, lower: Var<'t, T>, depth: Var<'t, T>, mask: &Tensor<T>) -> Gated<'t, T> {
     let guard = T::from_f64(GUARD);
     let pixels = upper
         .value()
@@ -184,9 +202,10 @@ fn depth_error<'t, T: Scalar>(upper: Var<'t, T>, lower: Var<'t, T>, depth: Var<'
         .iter()
         .zip(lower.value().data())
         .zip(depth.value().data())
-        .map(|((&u, &l), &d)| {
+        .zip(mask.data())
+        .map(|(((&u, &l), &d), &m)| {
             // A depth that is not positive cannot count.
-            if d > T::ZERO { (u / l - d).abs() / (d + guard) } else { T::from_f64(f64::INFINITY) }
+            if d > T::ZERO && m != T::ZERO { (u / l - d).abs() / (d + guard) } else { T::from_f64(f64::INFINITY) }
         })
         .collect();
     let errors = Tensor::from_vec(depth.shape(), pixels);
