@@ -12,6 +12,7 @@ use dimode_geometry::{Intrinsics, Se3};
 use dimode_nets::{Binder, Mode, RectifyNet};
 
 use crate::losses::rectify::rectify;
+use crate::losses::view_pair::COLOURS;
 use crate::model::{Model, Weights};
 use crate::pose_refinement::Pairs;
 
@@ -27,6 +28,16 @@ pub struct RectifiedSources<'t> {
     pub triplet: Var<'t, f32>,
 }
 
+/// Colours around 0, so that what lies outside of an image, which is read as 0, has the mean colour: the programs work on such
+/// images, and take what is exactly of this colour for not seen.
+fn centred(images: Var<'_, f32>) -> Var<'_, f32> {
+    images.add_scalar(-COLOURS[0])
+}
+
+fn uncentred(images: Var<'_, f32>) -> Var<'_, f32> {
+    images.add_scalar(COLOURS[0])
+}
+
 /// Removes the rotation of sources against targets, both `[2 n, 3, h, w]` as the networks see them; `plain` are the same sources as
 /// the losses compare them.
 pub fn rectified_sources<'t>(
@@ -37,11 +48,11 @@ pub fn rectified_sources<'t>(
     seed: u64,
 ) -> RectifiedSources<'t> {
     let tape = binder.tape();
-    let [target, seen, plain] = [target, seen, plain].map(|images| tape.constant(images.clone()));
-    let said = rectify(target, seen, cameras, seed, |a, b| net.forward(binder, a, b));
+    let [target, seen, plain] = [target, seen, plain].map(|images| centred(tape.constant(images.clone())));
+    let said = rectify(target, seen, cameras, seed, |a, b| net.forward(binder, uncentred(a), uncentred(b)));
     RectifiedSources {
-        seen: said.reference.value(),
-        plain: derotate(plain, said.rotation, cameras),
+        seen: uncentred(said.reference).value(),
+        plain: uncentred(derotate(plain, said.rotation, cameras)),
         consistency: said.consistency,
         triplet: said.triplet,
     }
@@ -66,7 +77,8 @@ fn without_rotation(net: &RectifyNet, weights: &Weights, pairs: &Pairs<'_>) -> (
     let tape = Tape::new();
     let angles = net.predict(&weights.rectify, pairs.target, pairs.source);
     let rotation = rotation_matrix(tape.constant(angles), RotationForm::Euler);
-    let source = derotate(tape.constant(pairs.source.clone()), rotation, pairs.cameras).value();
+    let source = centred(tape.constant(pairs.source.clone()));
+    let source = uncentred(derotate(source, rotation, pairs.cameras)).value();
     let translation = tape.constant(Tensor::zeros(Shape::new(pairs.cameras.len(), 3, 1, 1)));
     (source, Pose { rotation, translation }.to_se3())
 }

@@ -44,6 +44,21 @@ impl Teacher {
         }
     }
 
+    /// Looks whether there is a map for every target of a dataset, without reading it.
+    ///
+    /// # Errors
+    /// For the first that is missing.
+    pub fn check(&self, dataset: &dyn Dataset) -> Result<(), DataError> {
+        let Self::Folder { path, .. } = self else { return Ok(()) };
+        for sequence in 0..dataset.sequence_count() {
+            // The first and the last frame are nobody's target.
+            for frame in 1..dataset.sequence_len(sequence).saturating_sub(1) {
+                file(path, &dataset.sequence_name(sequence), &dataset.frame_name(sequence, frame))?;
+            }
+        }
+        Ok(())
+    }
+
     /// The pseudo-depth of a frame as it was taken, of its size.
     ///
     /// # Errors
@@ -81,7 +96,7 @@ fn file(folder: &Path, sequence: &str, name: &str) -> Result<PathBuf, DataError>
     places.iter().find(|place| place.is_file()).cloned().ok_or_else(|| DataError::Missing {
         path: places[0].clone(),
         what: "pseudo-depth map".to_owned(),
-        advice: "every frame needs one, there or in a folder `depth` beside it, as `dimode infer` writes them".to_owned(),
+        advice: "every frame but the first and last of a sequence needs one, there or in a folder `depth` beside it, as `dimode infer` writes them".to_owned(),
     })
 }
 
@@ -158,8 +173,10 @@ mod tests {
         assert_eq!((found.height, found.width), (64, 64));
         assert_eq!(found, load(2).unwrap());
         assert!((found.at(10, 20) - (1.0 + (20.5 / 2.0 - 0.5) / 8.0)).abs() < 1e-5, "{}", found.at(10, 20));
+        let missing = teacher.check(frames.as_ref()).unwrap_err().to_string();
+        assert!(missing.contains("01/000001.png: pseudo-depth map not found"), "{missing}");
         let message = load(0).unwrap_err().to_string();
-        assert!(message.contains("00/000000.png: pseudo-depth map not found; every frame needs one"), "{message}");
+        assert!(message.contains("00/000000.png: pseudo-depth map not found; every frame but the first and last"), "{message}");
         write_depth_png(&place.path().join("00/000000.png"), &Map::zeros(4, 4)).unwrap();
         let message = load(0).unwrap_err().to_string();
         assert!(message.contains("is 0 at row 0, column 0") && message.ends_with("above 0, in any unit"), "{message}");

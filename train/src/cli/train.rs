@@ -75,7 +75,7 @@ pub struct TrainArgs {
     /// Stages to train: 1, 1,2 or 1,2,3; the steps of the others go to the last one named
     #[arg(long, value_name = "LIST")]
     stages: Option<Stages>,
-    /// Lengths of three stages (5, 10, 15 of 30 epochs) and learning rate (1e-4) of the paper, meant for pre-trained encoders
+    /// Lengths of DiMoDE's stages (5, 10, 15 of 30 epochs) and learning rate (1e-4) of the paper, meant for pre-trained encoders
     #[arg(long)]
     paper_schedule: bool,
     /// Loss and stages of a method [default: dimode]
@@ -171,7 +171,7 @@ impl TrainArgs {
             loss.apply(config);
         }
         if self.paper_schedule {
-            config.train.use_paper_schedule();
+            config.use_paper_schedule();
         }
         replace(&mut config.train.steps, self.steps);
         replace(&mut config.train.batch, self.batch);

@@ -18,6 +18,34 @@ pub enum FlowData {
     CensusSmurf,
     /// Census of a 7x7 window, as UnFlow on its finest level.
     CensusUnflow,
+    /// Dissimilarity and difference with occluded pixels painted black, as ARFlow after its first epochs.
+    PhotometricArflow,
+}
+
+/// Which differences of the flow are penalised.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FlowSmoothnessForm {
+    /// Second ones, as ARFlow, which weighs them 75 over the shorter side.
+    #[default]
+    Second,
+    /// Second ones with edges taken across both gaps, as SMURF on KITTI, weight 2.
+    SecondWide,
+    /// First ones, as SMURF elsewhere, weight 2 to 2.5.
+    First,
+    /// First ones of the flow's length over its mean, as DF-VO, weight 0.1.
+    Length,
+}
+
+/// Which of the successive flows are compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Iterates {
+    /// All, each weighed 0.8 of the next.
+    #[default]
+    All,
+    /// The last.
+    Last,
 }
 
 /// Which pixels of the target an optical flow can be trusted at.
@@ -31,6 +59,8 @@ pub enum Occlusion {
     ForwardBackward,
     /// And that enough source pixels flow back to.
     RangeMap,
+    /// The same, weighted by how many do.
+    SoftRangeMap,
     /// And where following the flow there and back misses least: the matches that DF-VO would take, some 2000 spread over the image.
     BestMatches,
 }
@@ -45,10 +75,16 @@ pub struct FlowLossConfig {
     pub data: FlowData,
     /// Which pixels are compared; all but `in-view` make the network say the flow back, too.
     pub occlusion: Occlusion,
-    /// Weight of the second-order smoothness of the flow in pixels.
+    /// Which flows are compared.
+    pub iterates: Iterates,
+    /// Weight of it all; at 0 the network learns only from the terms of depth and motion that compare with its flow.
+    pub weight: f64,
+    /// Weight of the smoothness of the flow in pixels, beside the comparison.
     pub smoothness: f64,
+    /// Which differences it takes.
+    pub smoothness_form: FlowSmoothnessForm,
     /// Weight of the distance by which the flow back misses the start, pixels; 0 leaves it out.
-    pub consistency: f64,
+    pub forward_backward: f64,
     /// Its learning rate as a share of the others': it starts from trained weights.
     pub rate: f64,
 }
@@ -59,8 +95,11 @@ impl Default for FlowLossConfig {
             pairs: 2,
             data: FlowData::Photometric,
             occlusion: Occlusion::InView,
+            iterates: Iterates::All,
+            weight: 1.0,
             smoothness: 0.02,
-            consistency: 0.0,
+            smoothness_form: FlowSmoothnessForm::Second,
+            forward_backward: 0.0,
             rate: 0.1,
         }
     }
@@ -74,6 +113,7 @@ impl FlowLossConfig {
         let advice = "a choice of matches is no choice of what is seen; use in-view, forward-backward or range-map";
         require(self.occlusion != Occlusion::BestMatches, "loss.flow.occlusion", "best-matches", advice)?;
         not_negative("loss.flow.smoothness", self.smoothness)?;
-        not_negative("loss.flow.consistency", self.consistency)
+        not_negative("loss.flow.weight", self.weight)?;
+        not_negative("loss.flow.forward_backward", self.forward_backward)
     }
 }

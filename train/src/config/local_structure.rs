@@ -22,6 +22,18 @@ pub enum PseudoDepth {
     Folder,
 }
 
+impl PseudoDepth {
+    /// What configuration files call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::SelfGuided => "self-guided",
+            Self::Rendered => "rendered",
+            Self::Folder => "folder",
+        }
+    }
+}
+
 /// How the true depth of a world is made as uncertain as a predicted one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

@@ -61,8 +61,12 @@ pub const SCALE_ANCHOR: f64 = 0.2;
 pub struct LossConfig {
     /// The method that the loss and the stages start from; what the file names beside it changes single values.
     pub preset: LossPreset,
-    /// Form of the photometric loss; its weight is 1.
+    /// Form of the photometric loss.
     pub photometric: Photometric,
+    /// Its weight.
+    pub photometric_weight: f64,
+    /// Take the mean over the sources instead of the smallest error, in `minimum-reprojection`.
+    pub average_sources: bool,
     /// Leave out pixels that the unmoved source already explains better (standing scenes, objects that move along). The other
     /// forms than `minimum-reprojection` always do.
     pub auto_mask: bool,
@@ -81,8 +85,8 @@ pub struct LossConfig {
     /// Weight of the plain difference of rigid and optical flow, in pixels. Not a term of the paper: a competitor, off by
     /// default.
     pub flow_consistency: f64,
-    /// Weight of the scale anchor, which holds the mean disparity of a batch near [`SCALE_ANCHOR`]. Every other term is blind
-    /// to a common scale of depth and translation, so this changes no solution; it keeps the sigmoid from saturating while
+    /// Weight of the scale anchor, which holds the mean disparity of a batch near [`SCALE_ANCHOR`]. All terms but ranking and
+    /// `below_ground` are blind to a common scale of depth and translation, so this changes no solution of theirs; it keeps the sigmoid from saturating while
     /// the pose network knows nothing yet.
     pub scale_anchor: f64,
     /// Weight of Dynamo-Depth's penalty on points below the ground, which is found in the lower part of the depth itself; 0.1 there.
@@ -92,7 +96,7 @@ pub struct LossConfig {
     /// Where the optical flow is trusted in flow consistency and in the geometric terms, beside the static mask.
     pub occlusion: Occlusion,
     /// The depth that `contextual` of a stage compares with.
-    pub contextual: ContextualDepth,
+    pub contextual_depth: ContextualDepth,
     /// Local-structure loss.
     pub local_structure: LocalStructure,
     /// Training of the flow network.
@@ -113,6 +117,8 @@ impl LossConfig {
         Self {
             preset: LossPreset::Dimode,
             photometric: Photometric::MinimumReprojection,
+            photometric_weight: 1.0,
+            average_sources: false,
             auto_mask: true,
             scales: 1,
             smoothness: 1e-3,
@@ -125,7 +131,7 @@ impl LossConfig {
             below_ground: 0.0,
             sources: Sources::Both,
             occlusion: Occlusion::InView,
-            contextual: ContextualDepth::Radial,
+            contextual_depth: ContextualDepth::Radial,
             local_structure: LocalStructure::default(),
             flow: FlowLossConfig::default(),
             geometric: LossOptions::default(),
@@ -134,6 +140,7 @@ impl LossConfig {
 
     /// **Errors** [`ConfigError::Value`] for the first value out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
+        not_negative("loss.photometric_weight", self.photometric_weight)?;
         not_negative("loss.smoothness", self.smoothness)?;
         not_negative("loss.geometry_consistency", self.geometry_consistency)?;
         not_negative("loss.rotation_consistency", self.rotation_consistency)?;

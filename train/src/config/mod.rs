@@ -23,13 +23,15 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use dimode_geometry::taped::matches::Matching;
+
 use crate::objective::{FlowWays, needs};
 
 pub use crate::data::synthetic::Preset;
 pub use data::DataConfig;
 pub use error::ConfigError;
 pub use eval::EvalConfig;
-pub use flow_loss::{FlowData, FlowLossConfig, Occlusion};
+pub use flow_loss::{FlowData, FlowLossConfig, FlowSmoothnessForm, Iterates, Occlusion};
 pub use local_structure::{DegradationConfig, LocalStructure, PseudoDepth};
 pub use loss::{ContextualDepth, LossConfig, Photometric, SCALE_ANCHOR, SmoothnessOf, Sources};
 pub use nets::{FirstWeights, NetsConfig, Rectify};
@@ -86,6 +88,17 @@ impl Config {
         self.train.checkpoint_every = 100;
         self.eval.worlds = 2;
         self.eval.frames = 12;
+    }
+
+    /// The paper's learning rate for all networks, and the lengths of its stages where the preset has these.
+    pub fn use_paper_schedule(&mut self) {
+        let train = &mut self.train;
+        (train.learning_rate, train.pose_rate) = (1e-4, 1.0);
+        if matches!(self.loss.preset, LossPreset::Dimode | LossPreset::DimodeLiteral) {
+            for (stage, parts) in train.stages.iter_mut().zip(StageConfig::PAPER_PARTS) {
+                stage.share = parts / 30.0;
+            }
+        }
     }
 
     /// Reads a configuration from TOML. `path` is used in messages only.
@@ -178,11 +191,20 @@ impl Config {
         let key = "loss.local_structure.pseudo_depth";
         let advice = "only the embedded world is rendered; with data.path choose folder, self-guided or none";
         error::require(!rendered || self.data.path.is_none(), key, "rendered", advice)?;
+        let local = &self.loss.local_structure;
+        let used = local.pseudo_depth == PseudoDepth::None || self.train.stages.iter().any(|stage| stage.lambda3 > 0.0);
+        let advice = "no stage has lambda3 above 0, so nothing would look at it; set for instance train.stages.1.lambda3 = 0.01";
+        error::require(used, key, local.pseudo_depth.name(), advice)?;
+        let pixels = (self.data.width * self.data.height) as f64;
+        let most = Matching::default().best as f64 / pixels;
+        let enough = self.loss.occlusion != Occlusion::BestMatches || self.loss.geometric.min_valid_share < most;
+        let advice = format!("best-matches leaves at most {most:.3} of the pixels of these frames; must be below that");
+        error::require(enough, "loss.geometric.min_valid_share", self.loss.geometric.min_valid_share, &advice)?;
         let sees_flow = |stage: &StageConfig| needs(&self.loss, stage).flow != FlowWays::None;
-        let rectified = self.nets.rectify != Rectify::None;
         let advice = "the optical flow knows nothing of the removed rotation; choose none, or a loss without optical flow such as \
                       --loss sc-depth";
-        error::require(!rectified || !self.train.stages.iter().any(sees_flow), "nets.rectify", "on", advice)
+        let goes = self.nets.rectify == Rectify::None || !self.train.stages.iter().any(sees_flow);
+        error::require(goes, "nets.rectify", self.nets.rectify.name(), advice)
     }
 }
 

@@ -58,6 +58,15 @@ pub enum Rectify {
 }
 
 impl Rectify {
+    /// What configuration files call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Nano => "nano",
+            Self::Resnet18 => "resnet18",
+        }
+    }
+
     /// The sizes behind the name.
     pub fn config(self) -> Option<RectifyNetConfig> {
         match self {

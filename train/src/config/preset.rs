@@ -6,7 +6,8 @@ use std::str::FromStr;
 use dimode_geometry::losses::LossOptions;
 use serde::{Deserialize, Serialize};
 
-use super::{Config, LossConfig, Photometric, SmoothnessOf, Sources, StageConfig, nearest};
+use super::{Config, FlowLossConfig, Iterates, LossConfig, Photometric, SmoothnessOf, Sources, StageConfig, nearest};
+use crate::losses::contextual_geometric::{PART_WEIGHT, WEIGHT};
 
 /// A method, as far as its loss goes: networks, data and optimiser stay, so that runs differ by the loss alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -15,14 +16,16 @@ pub enum LossPreset {
     /// DiMoDE in the forms that train ([`LossOptions::default`]), three stages.
     #[default]
     Dimode,
-    /// DiMoDE with its four geometric losses as printed ([`LossOptions::literal`]), three stages.
+    /// DiMoDE with its four geometric losses as printed ([`LossOptions::literal`]), three scales, and the flow network's own loss on
+    /// its last flow without smoothness; three stages.
     DimodeLiteral,
     /// Monodepth2: minimum reprojection with auto-mask and smoothness on four scales, nothing else; one stage.
     Monodepth2,
     /// SC-Depth (V1 of sc_depth_pl): photometric and geometric consistency of view pairs, smoothness of the depth; one stage. With
     /// a pseudo-depth (`loss.local_structure.pseudo_depth`) also the local structure terms of V3.
     ScDepth,
-    /// DF-Net: after a joint stage rigid and optical flow teach each other (`cross_task`), on four scales.
+    /// DF-Net: after a joint stage rigid and optical flow agree (`cross_task`), on four scales. With `train_flow` in that stage they
+    /// teach each other.
     DfNet,
     /// DCPI-Depth: after a joint stage the depth that flow and motion imply is compared with the predicted one (`contextual`), in
     /// the last third also divergence and depth slope; next frame only, three scales.
@@ -50,7 +53,10 @@ impl LossPreset {
         let base = LossConfig { preset: self, ..LossConfig::plain() };
         match self {
             Self::Dimode => base,
-            Self::DimodeLiteral => LossConfig { geometric: LossOptions::literal(), ..base },
+            Self::DimodeLiteral => {
+                let flow = FlowLossConfig { smoothness: 0.0, iterates: Iterates::Last, ..FlowLossConfig::default() };
+                LossConfig { geometric: LossOptions::literal(), scales: 3, flow, ..base }
+            }
             Self::Monodepth2 | Self::DfNet => LossConfig { scales: 4, ..base },
             Self::ScDepth => {
                 let mut loss = LossConfig { photometric: Photometric::ScDepth, geometry_consistency: 0.1, ..base };
@@ -64,17 +70,25 @@ impl LossPreset {
 
     /// The stages with the weights that belong to them.
     pub fn stages(self) -> Vec<StageConfig> {
-        let joint = || StageConfig { train_flow: true, ..StageConfig::new("1 joint", 2.0 / 30.0) };
+        let joint = || StageConfig { lambda3: 0.01, train_flow: true, ..StageConfig::new("1 joint", 2.0 / 30.0) };
         match self {
             Self::Dimode | Self::DimodeLiteral => StageConfig::nano(),
             Self::Monodepth2 => vec![StageConfig::new("1 joint", 1.0)],
             Self::ScDepth => vec![StageConfig { lambda3: 0.1, ..StageConfig::new("1 joint", 1.0) }],
             // 0.5 w_s beside a ternary loss that is some hundred times l_pho and has the weights w_s, too.
-            Self::DfNet => vec![joint(), StageConfig { cross_task: 1e-3, ..StageConfig::new("2 cross-task", 28.0 / 30.0) }],
+            Self::DfNet => {
+                vec![joint(), StageConfig { lambda3: 0.01, cross_task: 1e-3, ..StageConfig::new("2 cross-task", 28.0 / 30.0) }]
+            }
             Self::Dcpi => {
-                let contextual = StageConfig { contextual: 0.01, rigid: 0.002, ..StageConfig::new("2 contextual", 18.0 / 30.0) };
+                let part = WEIGHT * PART_WEIGHT;
+                let contextual = StageConfig {
+                    lambda3: 0.01,
+                    contextual: WEIGHT,
+                    rigid: part,
+                    ..StageConfig::new("2 contextual", 18.0 / 30.0)
+                };
                 let last =
-                    StageConfig { divergence: 0.002, name: "3 divergence".into(), share: 10.0 / 30.0, ..contextual.clone() };
+                    StageConfig { divergence: part, name: "3 divergence".into(), share: 10.0 / 30.0, ..contextual.clone() };
                 vec![joint(), contextual, last]
             }
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use toml::{Table, Value};
 
-use super::{Config, ConfigError};
+use super::{Config, ConfigError, error};
 
 impl Config {
     /// The configuration with one setting changed, written `table.key=value`, for a stage `train.stages.2.lambda1=0.1`. Text may
@@ -25,9 +25,27 @@ impl Config {
         if key.trim() == "loss.preset" {
             return self.with_preset(change, &origin);
         }
+        self.check_stage(key)?;
         let mut table = self.to_table();
         merge(&mut table, change);
         Config::from_table(table, &origin)
+    }
+
+    /// **Errors** for the number of a stage that there is not.
+    fn check_stage(&self, key: &str) -> Result<(), ConfigError> {
+        let number = key
+            .trim()
+            .strip_prefix("train.stages.")
+            .and_then(|rest| rest.split('.').next())
+            .and_then(|n| n.parse::<usize>().ok());
+        let count = self.train.stages.len();
+        let known = number.is_none_or(|number| (1..=count).contains(&number));
+        let advice = format!("stages are numbered from 1, and there are {count}: {}", self.stage_names());
+        error::require(known, "train.stages", number.unwrap_or(0), &advice)
+    }
+
+    fn stage_names(&self) -> String {
+        self.train.stages.iter().map(|stage| format!("\"{}\"", stage.name)).collect::<Vec<_>>().join(", ")
     }
 
     /// The configuration with the loss and the stages of the preset that `change` names.
@@ -86,7 +104,9 @@ mod tests {
         config.train.stages[1].lambda1 = 0.5;
         assert_eq!(Config::default().with_setting("train.stages.2.lambda1=0.5").unwrap(), config);
         let refusal = |setting| Config::default().with_setting(setting).unwrap_err().to_string();
-        assert!(refusal("train.stages.4.lambda1=0.5").contains("begin each with a line [[train.stages]]"));
+        let message =
+            "train.stages = 4: stages are numbered from 1, and there are 3: \"1 joint\", \"2 directions\", \"3 ratios\"";
+        assert_eq!(refusal("train.stages.4.lambda1=0.5"), message);
         assert!(refusal("train.stages.2.lamda1=0.5").contains("did you mean 'lambda1'?"));
     }
 

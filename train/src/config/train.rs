@@ -175,16 +175,6 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// The paper's lengths, where there are three stages, and its one learning rate for all networks.
-    pub fn use_paper_schedule(&mut self) {
-        if self.stages.len() == StageConfig::PAPER_PARTS.len() {
-            for (stage, parts) in self.stages.iter_mut().zip(StageConfig::PAPER_PARTS) {
-                stage.share = parts / 30.0;
-            }
-        }
-        (self.learning_rate, self.pose_rate) = (1e-4, 1.0);
-    }
-
     /// **Errors** [`ConfigError::Value`] for the first value out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         require((1..=1 << 32).contains(&self.steps), "train.steps", self.steps, "must be 1 to 4294967296")?;

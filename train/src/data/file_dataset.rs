@@ -70,7 +70,7 @@ impl FileDataset {
             None => None,
         };
         let view = self.prepare(View::new(image, *camera, depth));
-        let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+        let name = stem(path);
         let world_from_camera = sequence.poses.as_ref().map(|poses| poses[frame]);
         Ok(Frame { image: view.image, intrinsics: view.intrinsics, depth: view.depth, world_from_camera, name })
     }
@@ -101,6 +101,10 @@ impl Dataset for FileDataset {
         self.sequences[sequence].files.len()
     }
 
+    fn frame_name(&self, sequence: usize, frame: usize) -> String {
+        stem(&self.sequences[sequence].files[frame])
+    }
+
     fn frame(&self, sequence: usize, frame: usize) -> Result<Arc<Frame>, DataError> {
         let found = self.check_index(sequence, frame)?;
         if let Some(cached) = self.cache.get((sequence, frame)) {
@@ -120,6 +124,11 @@ impl Dataset for FileDataset {
     fn times(&self, sequence: usize) -> Option<&[f64]> {
         self.sequences[sequence].times.as_deref()
     }
+}
+
+/// The name of a file without its ending.
+fn stem(path: &Path) -> String {
+    path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 fn depth_of_size(path: &Path, camera: &Intrinsics) -> Result<Map, DataError> {

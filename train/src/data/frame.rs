@@ -48,6 +48,9 @@ pub trait Dataset: Send + Sync {
     /// How many frames a sequence has. **Panics** when there is no such sequence.
     fn sequence_len(&self, sequence: usize) -> usize;
 
+    /// The name of a frame, as [`Frame::name`], without reading it. **Panics** when there is no such frame.
+    fn frame_name(&self, sequence: usize, frame: usize) -> String;
+
     /// One frame.
     ///
     /// **Errors** when the numbers are out of range or the files behind the frame cannot be used.

@@ -185,6 +185,10 @@ mod tests {
         fn sequence_len(&self, _: usize) -> usize {
             4
         }
+        fn frame_name(&self, _: usize, frame: usize) -> String {
+            format!("{frame:06}")
+        }
+
         fn frame(&self, s: usize, f: usize) -> Result<Arc<Frame>, DataError> {
             if self.fails && (s, f) == (1, 2) {
                 return Err(DataError::malformed(Path::new("made"), "fails", "nothing"));

@@ -11,11 +11,14 @@ use dimode_geometry::taped::{masks, visibility, warp};
 
 use super::census::{CensusForm, census};
 use super::flow_smoothness::{FlowSmoothness, flow_smoothness};
+use super::occluded_photometric::occluded_photometric;
 use super::photometric::photometric;
 use super::raft_sequence::GAMMA;
 
 /// Sharpness of the edge weight of the second-order term.
 const EDGE: f64 = 10.0;
+/// Source pixels that must flow to a target pixel for it to count as seen, as ARFlow has it.
+pub const REACHED: f64 = 0.2;
 
 /// Which target pixels the source is expected to show; all of them are also in view. Backward flows lead from source to target.
 #[derive(Clone, Copy, Debug)]
@@ -77,7 +80,8 @@ pub fn flow_photometric_where<'t, T: Scalar>(
     smoothness: f64,
     visible: Visibility<'_, T>,
 ) -> Var<'t, T> {
-    flow_data(FlowDataTerm::Photometric, flows, [target, source], smoothness, visible)
+    let form = FlowSmoothness::Second { edge: EDGE };
+    flow_data(FlowDataTerm::Photometric, flows, [target, source], (form, smoothness), visible)
 }
 
 /// How the warped source is compared with the target.
@@ -87,6 +91,8 @@ pub enum FlowDataTerm {
     Photometric,
     /// [`census`] over the visible pixels of the batch.
     Census(CensusForm),
+    /// [`occluded_photometric`] of the batch.
+    Occluded,
 }
 
 impl FlowDataTerm {
@@ -94,11 +100,12 @@ impl FlowDataTerm {
         match self {
             Self::Photometric => weighted_mean(photometric(warped, target), weights).mean(),
             Self::Census(form) => census(warped, target, weights, form),
+            Self::Occluded => occluded_photometric(target, warped, weights),
         }
     }
 }
 
-/// The same sum over successive flows with any data term; `images` are target and source.
+/// The same sum over successive flows with any data term and any smoothness with its weight; the images are target and source.
 ///
 /// **Gradient**: to the flows and the images; none through the choice of pixels.
 ///
@@ -109,7 +116,7 @@ pub fn flow_data<'t, T: Scalar>(
     data: FlowDataTerm,
     flows: &[Var<'t, T>],
     [target, source]: [Var<'t, T>; 2],
-    smoothness: f64,
+    (form, smoothness): (FlowSmoothness, f64),
     visible: Visibility<'_, T>,
 ) -> Var<'t, T> {
     assert!(!flows.is_empty(), "flow_photometric: at least one flow");
@@ -118,7 +125,7 @@ pub fn flow_data<'t, T: Scalar>(
     for (i, &flow) in flows.iter().enumerate() {
         let warped = warp(source, flow, SamplePadding::Border);
         let seen = data.measure(warped, target, &visible.weights(&flow.value()));
-        let smooth = flow_smoothness(flow, &target.value(), FlowSmoothness::Second { edge: EDGE }).scale(smoothness);
+        let smooth = flow_smoothness(flow, &target.value(), form).scale(smoothness);
         total = total.add(seen.add(smooth).scale(GAMMA.powi((flows.len() - 1 - i) as i32)));
     }
     total

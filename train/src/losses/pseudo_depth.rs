@@ -1,31 +1,12 @@
 //! Where the pseudo-depth `D*` of the local structure loss comes from. It is data: no gradient passes.
 //!
-//! | provider | `D*` |
-//! |---|---|
-//! | [`Provider::External`] | a map that was read from a file, bilinear-resized to the training size |
-//! | [`Provider::Rendered`] | the true depth of a synthetic scene, degraded by a random positive scale and low-pass noise |
-//! | [`Provider::SelfGuided`] | the network's own depth, filtered with the image as guide ([`super::guided_filter`]) |
-//! | [`Provider::None`] | nothing, the loss is 0 |
+//! [`external`] fits maps that were read from files, [`degraded`] makes the true depth of a rendered scene as uncertain as a
+//! predicted one, and [`self_guided`](super::guided_filter::self_guided) filters the network's own depth with the image as guide.
 //!
 //! The losses that use it look at normals or ratios, so its scale does not matter; a shift or an inverse depth of unknown shift
 //! does. Only external maps are comparable with published numbers.
 
 use dimode_autodiff::{Scalar, Shape, Tape, Tensor, rng};
-
-use super::guided_filter::self_guided;
-
-/// A source of pseudo-depth for one batch.
-#[derive(Clone, Copy, Debug)]
-pub enum Provider<'a, T: Scalar> {
-    /// No pseudo-depth.
-    None,
-    /// The network's own depth under the image.
-    SelfGuided,
-    /// Maps `[n, 1, h', w']` of any size.
-    External(&'a Tensor<T>),
-    /// True depth `[n, 1, h, w]` and what is done to it.
-    Rendered(&'a Tensor<T>, Degradation),
-}
 
 /// How a true depth map is made as uncertain as a predicted one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,44 +39,6 @@ pub struct NotADepth {
     pub column: usize,
     /// What stands there.
     pub value: f64,
-}
-
-/// The pseudo-depth of predicted depth `[n, 1, h, w]` under images `[n, 3, h, w]`, of the size of the depth.
-///
-/// # Errors
-/// When an external or rendered map has a pixel without a finite positive depth.
-///
-/// # Panics
-/// When shapes differ.
-#[track_caller]
-pub fn pseudo_depth<T: Scalar>(
-    provider: Provider<'_, T>,
-    depth: &Tensor<T>,
-    images: &Tensor<T>,
-) -> Result<Option<Tensor<T>>, NotADepth> {
-    let shape = depth.shape();
-    let found = match provider {
-        Provider::None => return Ok(None),
-        Provider::SelfGuided => self_guided(depth, images),
-        Provider::External(map) => external(map, shape.h(), shape.w())?,
-        Provider::Rendered(map, degradation) => {
-            all_depths(map)?;
-            degraded(map, degradation)
-        }
-    };
-    assert!(found.shape() == shape, "pseudo_depth: {} for depth {shape}", found.shape());
-    Ok(Some(found))
-}
-
-/// A map `[1, 1, height, width]` of the 16-bit values of an image file, in reading order, each divided by `units`.
-///
-/// # Panics
-/// When the number of values does not fit.
-#[must_use]
-#[track_caller]
-pub fn from_16_bit<T: Scalar>(values: &[u16], height: usize, width: usize, units: f64) -> Tensor<T> {
-    let depths = values.iter().map(|&v| T::from_f64(f64::from(v) / units)).collect();
-    Tensor::from_vec(Shape::new(1, 1, height, width), depths)
 }
 
 /// Maps `[n, 1, h', w']` bilinear-resized (half-pixel centres) to `height` x `width`.
@@ -152,36 +95,18 @@ mod tests {
     }
 
     #[test]
-    fn sixteen_bit_values_are_resized_by_areas() {
-        let map = from_16_bit::<f64>(&[256, 512, 768, 1024], 1, 4, 256.0);
-        assert_eq!(map.data(), [1.0, 2.0, 3.0, 4.0]);
+    fn maps_are_resized_by_areas_and_holes_are_named() {
+        let row = |values: [f64; 4]| Tensor::from_vec(Shape::new(1, 1, 1, 4), values.to_vec());
+        let map = row([1.0, 2.0, 3.0, 4.0]);
         assert_eq!(external(&map, 1, 2).unwrap().data(), [1.5, 3.5]);
         assert_eq!(external(&map, 1, 4).unwrap(), map);
-    }
-
-    #[test]
-    fn holes_are_named() {
-        let hole = from_16_bit::<f32>(&[256, 512, 0, 1024], 2, 2, 256.0);
-        let error = external(&hole, 2, 2).unwrap_err();
-        assert_eq!(error, NotADepth { sample: 0, row: 1, column: 0, value: 0.0 });
+        let error = external(&row([1.0, 2.0, 0.0, 4.0]), 1, 2).unwrap_err();
+        assert_eq!(error, NotADepth { sample: 0, row: 0, column: 2, value: 0.0 });
         assert_eq!(
             error.to_string(),
-            "pseudo-depth of sample 0 is 0 at row 1, column 0; every pixel needs a finite depth above 0"
+            "pseudo-depth of sample 0 is 0 at row 0, column 2; every pixel needs a finite depth above 0"
         );
-        let (depth, images) = scene();
-        let broken = Tensor::from_fn(depth.shape(), |n, _, h, w| if (n, h, w) == (1, 0, 5) { f64::NAN } else { 2.0 });
-        assert!(pseudo_depth(Provider::Rendered(&broken, Degradation::default()), &depth, &images).is_err());
-    }
-
-    #[test]
-    fn every_provider_gives_maps_of_the_size_of_the_depth() {
-        let (depth, images) = scene();
-        let get = |provider| pseudo_depth(provider, &depth, &images).unwrap();
-        assert_eq!(get(Provider::None), None);
-        assert_eq!(get(Provider::SelfGuided), Some(self_guided(&depth, &images)));
-        let coarse = random::<f64>(3, Shape::new(2, 1, 4, 5), 1.0, 2.0);
-        assert_eq!(get(Provider::External(&coarse)).unwrap().shape(), depth.shape());
-        assert_eq!(get(Provider::Rendered(&depth, Degradation::default())).unwrap().shape(), depth.shape());
+        assert!(external(&row([1.0, f64::NAN, 2.0, 4.0]), 1, 2).is_err());
     }
 
     #[test]

@@ -5,6 +5,9 @@ use dimode_autodiff::{Scalar, Var};
 use dimode_geometry::Intrinsics;
 use dimode_geometry::taped::{Divisor, Pose, Projection, SampleGrid, back_project, project};
 
+/// Mean and deviation by which the SC-Depth programs normalise colours in [0, 1], for their networks and in their losses.
+pub const COLOURS: [f64; 2] = [0.45, 0.225];
+
 /// An image and its depth map.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'t, T: Scalar> {

@@ -30,8 +30,7 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
     }
     let (start, len) = chosen_samples(scene);
     let cut = |x: Var<'l, f32>| x.slice(0, start, len);
-    let rotational = rotational_flow(scene);
-    let rotational = scene.tape().constant(rotational).slice(0, start, len).value();
+    let rotational = cut(rotational_flow(scene)).value();
     let inputs = ContextualInputs {
         flow: cut(scene.flow().forward),
         depth: cut(scene.depth),
@@ -48,7 +47,7 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
         }
     };
     let centre = ContextualForm::Corrected;
-    add("contextual", stage.contextual, &|| match scene.loss.contextual {
+    add("contextual", stage.contextual, &|| match scene.loss.contextual_depth {
         ContextualDepth::Radial => radial_depth(&inputs, centre),
         ContextualDepth::Triangulated => triangulated_depth(&inputs, TriangulatedForm::Corrected),
     });
@@ -66,9 +65,9 @@ fn chosen_samples(scene: &Scene<'_, '_>) -> (usize, usize) {
 }
 
 /// The flow of the rotation alone, `[2 n, 2, h, w]`, without gradient: any depth draws it.
-fn rotational_flow(scene: &Scene<'_, '_>) -> Tensor<f32> {
+fn rotational_flow<'l>(scene: &Scene<'_, 'l>) -> Var<'l, f32> {
     let (tape, motion) = (scene.tape(), scene.motion());
     let depth = tape.constant(Tensor::full(scene.depth.shape(), 1.0));
     let still = tape.constant(Tensor::zeros(motion.translation.shape()));
-    rigid_flow(depth, motion.rotation.detach(), still, &scene.cameras).slice(1, 0, 2).value()
+    rigid_flow(depth, motion.rotation.detach(), still, &scene.cameras).slice(1, 0, 2)
 }

@@ -52,12 +52,14 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
         ("l_tan", stage.lambda2, geometric::tangential),
         ("l_rad", stage.lambda2, geometric::radial),
     ];
+    // Of the sources that were not chosen no pixel is asked for.
+    let asked = mask.shape().len() as f64 * if scene.loss.sources == Sources::Both { 1.0 } else { 0.5 };
     let chosen = losses.into_iter().filter(|(_, weight, _)| *weight > 0.0);
     let measured = chosen.map(|(name, weight, loss)| {
         let measured = loss(&pair, options);
         let pixels = measured.counts.iter().sum::<usize>() as f64;
         let images = images(&measured);
-        Term { images, ..Term::new(name, weight, measured.mean, pixels / mask.shape().len() as f64) }
+        Term { images, ..Term::new(name, weight, measured.mean, pixels / asked) }
     });
     measured.collect()
 }

@@ -10,7 +10,7 @@ use super::term::{Term, TermKind};
 use super::view_pairs;
 use crate::batch::join;
 use crate::config::{LossConfig, Photometric, StageConfig};
-use crate::losses::min_reprojection::min_reprojection;
+use crate::losses::min_reprojection::{average_reprojection, min_reprojection};
 use crate::losses::photometric::{photometric, photometric_value};
 
 pub(super) const KIND: TermKind = TermKind { needs, measure };
@@ -24,7 +24,7 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
         Photometric::MinimumReprojection => vec![minimum_reprojection(scene)],
         Photometric::ScDepth | Photometric::ScSfm => {
             let pairs = scene.view_pairs();
-            vec![Term::new("l_pho", 1.0, pairs.photo, pairs.valid)]
+            vec![Term::new("l_pho", scene.loss.photometric_weight, pairs.photo, pairs.valid)]
         }
     }
 }
@@ -43,12 +43,13 @@ fn minimum_reprojection<'l>(scene: &Scene<'_, 'l>) -> Term<'l> {
     for (scale, &disparity) in scene.leaves.disparities.iter().enumerate() {
         let rigid = if scale == 0 { scene.rigid() } else { rigid_at(scene, disparity) };
         let error = photometric(taped::warp(sources, rigid.slice(1, 0, 2), SamplePadding::Border), target);
-        let best = min_reprojection(&[error.slice(0, 0, n), error.slice(0, n, n)], &identities);
+        let of_sources = [error.slice(0, 0, n), error.slice(0, n, n)];
+        let best = if scene.loss.average_sources { average_reprojection } else { min_reprojection }(&of_sources, &identities);
         valid += best.share / scales as f64;
         let mean = best.error.mean().scale(1.0 / scales as f64);
         total = Some(total.map_or(mean, |t: Var<'l, f32>| t.add(mean)));
     }
-    Term::new("l_pho", 1.0, total.expect("at least one scale"), valid)
+    Term::new("l_pho", scene.loss.photometric_weight, total.expect("at least one scale"), valid)
 }
 
 /// Errors of the unwarped sources with a little noise that breaks ties, one map for each source.

@@ -5,17 +5,15 @@ use std::cell::OnceCell;
 use dimode_autodiff::{Tape, Tensor, Var};
 use dimode_geometry::Intrinsics;
 use dimode_geometry::taped::matches::{Matching, best_matches_mask};
-use dimode_geometry::taped::visibility::{consistency_score, reached};
+use dimode_geometry::taped::visibility::{consistency_score, reached, reached_softly};
 use dimode_geometry::taped::{self, Pose, masks};
 
 use super::outputs::{Flow, Outputs};
 use super::view_pairs::ViewPairs;
 use crate::batch::{Batch, join};
 use crate::config::{LossConfig, Occlusion, StageConfig};
+use crate::losses::flow_photometric::REACHED;
 use crate::model::DepthRange;
-
-/// Source pixels that must flow to a target pixel for it to count as seen, as ARFlow has it.
-const REACHED: f64 = 0.2;
 
 /// The outputs of a batch as leaves, and what several terms make of them. Both sources are stacked along the samples, previous
 /// ones first.
@@ -114,6 +112,7 @@ impl<'a, 'l> Scene<'a, 'l> {
                 masks::all_of(&[&seen, &best_matches_mask(&consistency_score(&forward, &backward()), Matching::default())])
             }
             Occlusion::RangeMap => masks::all_of(&[&seen, &reached(&backward(), REACHED)]),
+            Occlusion::SoftRangeMap => masks::all_of(&[&seen, &reached_softly(&backward())]),
         }
     }
 
@@ -126,12 +125,6 @@ impl<'a, 'l> Scene<'a, 'l> {
     pub fn sources(&self) -> Var<'l, f32> {
         let images = &self.batch.plain;
         self.leaves.rectified.unwrap_or_else(|| self.tape().constant(join(&[&images.previous, &images.next])))
-    }
-
-    /// Images of the targets at the size of a map, `[n, 3, h, w]`.
-    pub fn target_like(&self, map: Var<'l, f32>) -> Tensor<f32> {
-        let s = map.shape();
-        self.tape().constant(self.batch.plain.target.clone()).resize_bilinear(s.h(), s.w(), false).value()
     }
 }
 

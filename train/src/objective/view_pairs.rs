@@ -12,15 +12,12 @@ use super::term::{Term, TermKind};
 use crate::config::{LossConfig, Photometric, StageConfig};
 use crate::losses::sc_depth_pair::{self, MIN_PIXELS, PairLoss};
 use crate::losses::sc_sfm_pair;
-use crate::losses::view_pair::{View, ViewPair};
+use crate::losses::view_pair::{COLOURS, View, ViewPair};
 
 pub(super) const KIND: TermKind = TermKind { needs, measure };
 
 /// What view pairs need.
 pub(super) const NEEDS: Needs = Needs { source_depth: SourceDepth::Gradient, flow: FlowWays::None };
-
-/// Mean and deviation by which the SC-Depth programs normalise colours, in their losses, too.
-const COLOURS: [f64; 2] = [0.45, 0.225];
 
 /// The consistency of all view pairs of a batch.
 pub(super) struct ViewPairs<'l> {

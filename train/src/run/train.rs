@@ -131,6 +131,7 @@ fn begin(request: &TrainRequest) -> Result<Begun> {
     let config = &request.config;
     config.validate()?;
     let dataset = checked_frames(config)?;
+    Teacher::new(config).check(dataset.as_ref())?;
     if request.start == Start::Resume {
         let folder = RunFolder::open(&request.out)?;
         let (trainer, step) = restore(config, &folder.checkpoint())?;

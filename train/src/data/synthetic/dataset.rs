@@ -86,9 +86,13 @@ impl SyntheticDataset {
             intrinsics: self.intrinsics,
             depth: Some(rendered.depth),
             world_from_camera: Some(world.poses[frame]),
-            name: format!("{frame:06}"),
+            name: name_of(frame),
         }
     }
+}
+
+fn name_of(frame: usize) -> String {
+    format!("{frame:06}")
 }
 
 impl Dataset for SyntheticDataset {
@@ -118,6 +122,10 @@ impl Dataset for SyntheticDataset {
             self.config.sequences
         );
         self.config.frames
+    }
+
+    fn frame_name(&self, _: usize, frame: usize) -> String {
+        name_of(frame)
     }
 
     fn frame(&self, sequence: usize, frame: usize) -> Result<Arc<Frame>, DataError> {
