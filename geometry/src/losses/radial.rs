@@ -15,7 +15,6 @@ use crate::taped::weighted::weighted_mean;
 #[serde(rename_all = "kebab-case")]
 pub enum RadialForm {
     /// `A_z + C_z` as printed: unbounded where the radial flow is near zero.
-    /// A component of exactly 0 has no `C`.
     Literal,
     /// The same with small radial flows dropped, outliers gated and the denominator of `C` bounded below.
     Robust,

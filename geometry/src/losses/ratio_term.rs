@@ -17,7 +17,7 @@ pub struct RatioTerm<'t, T: Scalar> {
     pub pixel_error: Var<'t, T>,
     /// `E[z / rho]`, the recovered component of the translation, (N,1,1,1).
     pub recovered: Var<'t, T>,
-    /// `C = |(E[z / rho] - a) / a|`, left out (0) where `a` is exactly 0; in the robust form over `max(|a_k|, tau_translation, kappa |a|)`, (N,1,1,1).
+    /// `C = |(E[z / rho] - a) / a|`; in the robust form over `max(|a_k|, tau_translation, kappa |a|)`, (N,1,1,1).
     pub aggregate_error: Var<'t, T>,
     /// Pixels of [`RatioTerm::recovered`], (N,1,H,W).
     pub mask: Tensor<T>,
@@ -56,7 +56,7 @@ impl<'t, T: Scalar> RatioTerm<'t, T> {
         let recovered = weighted_mean(of.inverse, &of.mask);
         let difference = recovered.sub(a);
         let aggregate_error = match robust {
-            None => printed_error(pair, difference, a),
+            None => difference.div(a).abs(),
             Some(options) => difference.abs().div(a.abs().maximum(smallest_divisor(pair, options))),
         };
         Self { ratio: of.ratio, pixels, pixel_error, recovered, aggregate_error, mask: of.mask }
@@ -84,13 +84,6 @@ fn pixel_error<'t, T: Scalar>(
         move |i| gate.is_none_or(|gate| errors[i].to_f64() < gate)
     });
     (weighted_mean(error, &kept), kept)
-}
-
-/// `|difference / a|`; 0 without gradient where `a` is exactly 0 and the quotient says nothing.
-fn printed_error<'t, T: Scalar>(pair: &AlignedPair<'t, T>, difference: Var<'t, T>, a: Var<'t, T>) -> Var<'t, T> {
-    let moves = a.value();
-    let constant = |x: f64| pair.constant(&Tensor::full(a.shape(), T::from_f64(x)));
-    difference.select(&moves, constant(0.0)).div(a.select(&moves, constant(1.0))).abs()
 }
 
 /// `max(tau_translation, kappa |a|)` of every sample, without gradient.

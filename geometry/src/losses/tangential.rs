@@ -14,7 +14,6 @@ use crate::taped::weighted::weighted_mean;
 #[serde(rename_all = "kebab-case")]
 pub enum TangentialForm {
     /// `A_x + C_x + A_y + C_y` as printed: unbounded where a flow or translation component is near zero.
-    /// A component of exactly 0 has no `C`.
     Literal,
     /// The same with small flow components dropped, outliers gated and the denominators of `C` bounded below.
     Robust,

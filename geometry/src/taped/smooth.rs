@@ -15,16 +15,15 @@ pub fn soft_abs<T: Scalar>(x: Var<'_, T>, eps: f64) -> Var<'_, T> {
     let mut y = x.tape().scratch(value.shape().len());
     kernel::map(&mut y, value.data(), |x| (x * x + tip * tip).sqrt() - tip);
     let y = x.tape().tensor(value.shape(), y);
-    let record =
-        move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
-            if let Some(mut slot) = grads.slot(0) {
-                slot.write(|out| {
-                    kernel::zip(out, value.data(), g.data(), |x, g| {
-                        if x == T::ZERO || g == T::ZERO { T::ZERO } else { g * x / (x * x + tip * tip).sqrt() }
-                    });
+    let record = move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
+        if let Some(mut slot) = grads.slot(0) {
+            slot.write(|out| {
+                kernel::zip(out, value.data(), g.data(), |x, g| {
+                    if x == T::ZERO || g == T::ZERO { T::ZERO } else { g * x / (x * x + tip * tip).sqrt() }
                 });
-            }
-        };
+            });
+        }
+    };
     x.tape().push("soft_abs", y, &[x], record)
 }
 

@@ -29,7 +29,12 @@ fn matches(size: f64) -> Matches {
     let depth = plane(&normals, &[6.0, 5.0, 7.0], &cameras());
     let [flow, source_depth] = seen(&depth, &truth, &cameras());
     let motions = truth.iter().map(|m| Se3 { translation: m.translation * (1.0 + size), ..*m }).collect();
-    Matches { depth: bent(&depth, 1, size), source_depth: bent(&source_depth, 2, size), flow: shifted(&flow, 3, 4.0 * size), motions }
+    Matches {
+        depth: bent(&depth, 1, size),
+        source_depth: bent(&source_depth, 2, size),
+        flow: shifted(&flow, 3, 4.0 * size),
+        motions,
+    }
 }
 
 /// The same seen by a source camera that is turned.
@@ -44,12 +49,7 @@ fn turned(m: &Matches, by: [f64; 3]) -> Matches {
     };
     let part = |c: usize| Tensor::from_fn(maps(3), |n, _, v, u| seen(n, v, u)[c]);
     let flow = Tensor::from_fn(maps(3).with_c(2), |n, c, v, u| seen(n, v, u)[c]);
-    Matches {
-        depth: m.depth.clone(),
-        source_depth: part(2),
-        flow,
-        motions: m.motions.iter().map(|m| turn * *m).collect(),
-    }
+    Matches { depth: m.depth.clone(), source_depth: part(2), flow, motions: m.motions.iter().map(|m| turn * *m).collect() }
 }
 
 /// The four losses of every image.
@@ -97,11 +97,18 @@ fn in_the_printed_convention_they_do() {
     for options in forms() {
         let options = LossOptions { noise_share: 0.0, convention: Convention::AsPrinted, ..options };
         let (before, after) = (losses(&seen, &options), losses(&turned(&seen, TURNS[0]), &options));
-        let change: Vec<f64> = before.iter().zip(&after).map(|(a, b)| {
-            let worst = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            worst / a.iter().copied().fold(0.0, f64::max)
-        }).collect();
-        println!("two degrees of yaw change {:?} {:?} {:?} {:?} by {change:.3?}", options.planar, options.axial, options.tangential, options.radial);
+        let change: Vec<f64> = before
+            .iter()
+            .zip(&after)
+            .map(|(a, b)| {
+                let worst = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                worst / a.iter().copied().fold(0.0, f64::max)
+            })
+            .collect();
+        println!(
+            "two degrees of yaw change {:?} {:?} {:?} {:?} by {change:.3?}",
+            options.planar, options.axial, options.tangential, options.radial
+        );
         assert!(change.iter().all(|&c| c > 1e-3), "{options:?}: {change:?}");
     }
 }

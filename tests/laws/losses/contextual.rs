@@ -78,9 +78,7 @@ fn scene(motions: &[Se3]) -> Scene {
 
 /// Three motions, mostly along the axis, with rotations.
 fn general(sign: f64) -> Vec<Se3> {
-    [[0.1, 0.12, 1.0], [0.15, 0.1, 0.8], [0.1, 0.2, 0.9]]
-        .map(|[x, y, z]| motion([0.01, 0.02, -0.01], [x, y, sign * z]))
-        .to_vec()
+    [[0.1, 0.12, 1.0], [0.15, 0.1, 0.8], [0.1, 0.2, 0.9]].map(|[x, y, z]| motion([0.01, 0.02, -0.01], [x, y, sign * z])).to_vec()
 }
 
 fn along_the_axis(z: f64) -> Vec<Se3> {

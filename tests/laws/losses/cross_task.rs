@@ -87,19 +87,22 @@ fn rigid_only(scene: Scene) -> Scene {
 fn scales(size: f64) -> Scene {
     // On planes that face both cameras a flow and the one back cancel but for errors.
     let shift = |u: f64, v: f64, seed| shifted(&Tensor::from_fn(maps(3).with_c(2), |_, c, _, _| [u, v][c]), seed, size);
-    let pair = |seed: u64| [shift(1.3, -0.6, seed), shift(1.3, -0.6, seed + 1), shift(-1.3, 0.6, seed + 2), shift(-1.3, 0.6, seed + 3)];
+    let pair =
+        |seed: u64| [shift(1.3, -0.6, seed), shift(1.3, -0.6, seed + 1), shift(-1.3, 0.6, seed + 2), shift(-1.3, 0.6, seed + 3)];
     Scene { leaves: [pair(10), pair(20)].concat(), data: vec![], cameras: cameras() }
 }
 
 #[test]
 fn gradients_are_right_beside_hazards() {
     for seed in 0..3 {
-        let nonsense = |x: f64, n: usize, h: usize, w: usize| if used().at(n, 0, h, w) == 0.0 { -3.0 * x + seed as f64 } else { x };
+        let nonsense =
+            |x: f64, n: usize, h: usize, w: usize| if used().at(n, 0, h, w) == 0.0 { -3.0 * x + seed as f64 } else { x };
         let both = direct(0.4).with_leaf(1, |x, n, _, h, w| nonsense(x, n, h, w));
         assert_gradient(&Direct::Both, &both, CHECK);
         assert_gradient(&Direct::Rigid, &rigid_only(both), CHECK);
         // A point that the camera passes, which has no flow and no gradient.
-        let passed = scene(-1.0, 0.2).with_leaf(0, |z, n, _, h, w| if (n, h, w) == (1, 3, 5) { 0.1 } else { nonsense(z, n, h, w) });
+        let passed =
+            scene(-1.0, 0.2).with_leaf(0, |z, n, _, h, w| if (n, h, w) == (1, 3, 5) { 0.1 } else { nonsense(z, n, h, w) });
         assert_gradient(&Through(Direct::Both), &passed, CHECK);
         assert_gradient(&Scales, &scales(0.2 + 0.05 * seed as f64), CHECK);
     }

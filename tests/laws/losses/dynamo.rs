@@ -1,16 +1,12 @@
 //! The four terms of Dynamo-Depth, of flows in space.
 
-use dimode::losses::dynamo::{
-    MotionTerms, MotionWeights, consistency, flow_smoothness, mask_smoothness, scene_flow, sparsity,
-};
+use dimode::losses::dynamo::{MotionTerms, MotionWeights, consistency, flow_smoothness, mask_smoothness, scene_flow, sparsity};
 use dimode_autodiff::gradcheck::{random, weighted_sum};
 use dimode_autodiff::{GradCheck, Scalar, Tensor, Var};
 use dimode_geometry::taped::{Pose, so3_exp};
 
 use crate::scenes::{bent, cameras, facing_the_source, images, maps, mask, motion, motions, vectors};
-use crate::support::{
-    Loss, Scene, assert_finite, assert_gradient, assert_nothing, assert_order_free, assert_silent, value,
-};
+use crate::support::{Loss, Scene, assert_finite, assert_gradient, assert_nothing, assert_order_free, assert_silent, value};
 
 const CHECK: GradCheck = GradCheck { step: 1e-7, atol: 1e-7, rtol: 1e-5, allow_zero: false };
 
@@ -28,14 +24,8 @@ enum Dynamo {
     ImageFlow,
 }
 
-const FORMS: [Dynamo; 6] = [
-    Dynamo::Consistency,
-    Dynamo::Sparsity,
-    Dynamo::MaskSmoothness,
-    Dynamo::FlowSmoothness,
-    Dynamo::Total,
-    Dynamo::ImageFlow,
-];
+const FORMS: [Dynamo; 6] =
+    [Dynamo::Consistency, Dynamo::Sparsity, Dynamo::MaskSmoothness, Dynamo::FlowSmoothness, Dynamo::Total, Dynamo::ImageFlow];
 
 impl Loss for Dynamo {
     fn of<'t, T: Scalar>(&self, v: &[Var<'t, T>], scene: &Scene) -> Var<'t, T> {
@@ -76,7 +66,9 @@ fn scene(seed: u64) -> Scene {
 fn passing(seed: u64) -> Scene {
     let here = |n: usize, h: usize| n == 1 && h == 2;
     // Hardly anything moves by itself there, or a point might lie right in the plane of the camera.
-    scene(seed).with_leaf(0, |d, n, _, h, _| if here(n, h) { 0.1 } else { d }).with_leaf(4, |x, n, _, h, _| if here(n, h) { -3.0 } else { x })
+    scene(seed)
+        .with_leaf(0, |d, n, _, h, _| if here(n, h) { 0.1 } else { d })
+        .with_leaf(4, |x, n, _, h, _| if here(n, h) { -3.0 } else { x })
 }
 
 #[test]
@@ -161,7 +153,9 @@ fn the_order_does_not_matter_and_lengths_scale_what_is_measured_in_them() {
         }
     }
     let scaled = scene.scaled(&[0, 2, 3], 2.5);
-    for (form, power) in [(Dynamo::Consistency, 1), (Dynamo::Sparsity, 0), (Dynamo::MaskSmoothness, 0), (Dynamo::FlowSmoothness, 1)] {
+    for (form, power) in
+        [(Dynamo::Consistency, 1), (Dynamo::Sparsity, 0), (Dynamo::MaskSmoothness, 0), (Dynamo::FlowSmoothness, 1)]
+    {
         let (one, two) = (value(&form, &scene), value(&form, &scaled));
         assert!((two - 2.5_f64.powi(power) * one).abs() < 1e-12, "{form:?}: {one} {two}");
     }

@@ -93,9 +93,8 @@ fn masked_pixels_are_silent_whatever_stands_there() {
         let (scene, r) = (masked(40), form.radius());
         let given = &scene.data[0];
         let s = given.shape();
-        let counts = |n: usize, h: usize, w: usize| {
-            h >= r && w >= r && h + r < s.h() && w + r < s.w() && given.at(n, 0, h, w) != 0.0
-        };
+        let counts =
+            |n: usize, h: usize, w: usize| h >= r && w >= r && h + r < s.h() && w + r < s.w() && given.at(n, 0, h, w) != 0.0;
         let read = Tensor::from_fn(s, |n, _, h, w| {
             let near = |i: usize, size: usize| i.saturating_sub(r)..(i + r + 1).min(size);
             let any = near(h, s.h()).any(|i| near(w, s.w()).any(|j| counts(n, i, j)));
@@ -134,9 +133,8 @@ impl Loss for Photometric {
 
 /// A shift with errors; some flows leave the view.
 fn shifting(seed: u64) -> Scene {
-    let shift = |u: f64, v: f64, size: f64, seed: u64| {
-        shifted(&Tensor::from_fn(maps(3).with_c(2), |_, c, _, _| [u, v][c]), seed, size)
-    };
+    let shift =
+        |u: f64, v: f64, size: f64, seed: u64| shifted(&Tensor::from_fn(maps(3).with_c(2), |_, c, _, _| [u, v][c]), seed, size);
     let flow = |seed| between_pixels(&shift(0.9, -0.5, 0.3, seed));
     let data = vec![images(3, seed), images(3, seed + 1), shift(-0.9, 0.5, 0.2, seed + 2), Tensor::scalar(0.1)];
     Scene { leaves: vec![flow(seed + 3), flow(seed + 4)], data, cameras: vec![] }
@@ -225,7 +223,11 @@ impl Loss for There {
 
 #[test]
 fn following_a_flow_there_and_back_obeys_the_laws() {
-    let scene = |seed| Scene { leaves: vec![shifting(seed).leaves[0].clone(), shifting(seed).data[2].clone()], data: vec![], cameras: vec![] };
+    let scene = |seed| Scene {
+        leaves: vec![shifting(seed).leaves[0].clone(), shifting(seed).data[2].clone()],
+        data: vec![],
+        cameras: vec![],
+    };
     for seed in [110, 120] {
         assert_gradient(&There, &scene(seed), CHECK);
         assert_order_free(&There, &scene(seed));

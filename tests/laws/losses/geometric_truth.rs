@@ -50,7 +50,8 @@ fn exact_scenes_cost_nothing_whichever_way_the_camera_moves() {
                 let signed = matches!(options.axial, AxialForm::Literal | AxialForm::Signed);
                 let expected = if term == 1 && signed && sign > 0.0 { std::f64::consts::PI } else { 0.0 };
                 // An arccos near cosine 1 keeps half of the digits.
-                let half = (term == 1 && options.axial == AxialForm::Literal) || (term == 0 && options.planar == PlanarForm::Literal);
+                let half =
+                    (term == 1 && options.axial == AxialForm::Literal) || (term == 0 && options.planar == PlanarForm::Literal);
                 let tolerance = if half { 2e-7 } else { 1e-10 };
                 assert!((found - expected).abs() < tolerance, "{} of {options:?}, sign {sign}: {found}", NAMES[term]);
             }
@@ -102,7 +103,8 @@ fn a_component_of_exactly_nothing_is_left_out_of_the_printed_sums() {
 
 #[test]
 fn a_road_costs_what_reading_its_depth_between_pixels_costs() {
-    let unitless = LossOptions { tangential: TangentialForm::InverseRatio, radial: RadialForm::InverseRatio, q_min: 2.0, ..robust() };
+    let unitless =
+        LossOptions { tangential: TangentialForm::InverseRatio, radial: RadialForm::InverseRatio, q_min: 2.0, ..robust() };
     for sign in [-1.0, 1.0] {
         // Five degrees of slope seen from 1.5 m above, ahead of the camera.
         let of = |zoom: usize| {

@@ -156,7 +156,11 @@ impl Loss for Smooth {
 const SMOOTH: [Smooth; 4] = [Smooth::Normalised, Smooth::Raw, Smooth::OfBoth, Smooth::Anchor];
 
 fn disparities(seed: u64) -> Scene {
-    Scene { leaves: vec![random(seed, maps(3), 0.05, 0.9), images(3, seed + 1)], data: vec![images(3, seed + 2)], cameras: vec![] }
+    Scene {
+        leaves: vec![random(seed, maps(3), 0.05, 0.9), images(3, seed + 1)],
+        data: vec![images(3, seed + 2)],
+        cameras: vec![],
+    }
 }
 
 #[test]
@@ -299,7 +303,8 @@ fn the_truth_of_a_linear_texture_costs_nothing_in_view() {
         let ray = k[n].ray(u, v) * z;
         0.5 + 0.03 * (ray.x - x) * (1.0 + c as f64) - 0.05 * (ray.y - y)
     };
-    let target = Tensor::from_fn(maps(3).with_c(3), |n, c, h, w| colour(n, c, w as f64, h as f64, depth.at(n, 0, h, w), 0.0, 0.0));
+    let target =
+        Tensor::from_fn(maps(3).with_c(3), |n, c, h, w| colour(n, c, w as f64, h as f64, depth.at(n, 0, h, w), 0.0, 0.0));
     let source = Tensor::from_fn(maps(3).with_c(3), |n, c, h, w| {
         let t = motions[n].translation;
         colour(n, c, w as f64, h as f64, 5.0, t.x, t.y)

@@ -4,7 +4,7 @@ use dimode::losses::depth_ranking::{Pair, depth_ranking};
 use dimode_autodiff::gradcheck::random;
 use dimode_autodiff::{GradCheck, Scalar, Shape, Tensor, Var};
 
-use crate::scenes::{mask, maps};
+use crate::scenes::{maps, mask};
 use crate::support::{Loss, Scene, assert_finite, assert_gradient, assert_nothing, assert_order_free, assert_silent, map};
 
 const GLOBAL: [Pair; 4] = [[1, 9], [12, 4], [3, 28], [40, 41]];

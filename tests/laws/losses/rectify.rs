@@ -42,7 +42,12 @@ fn gradients_are_right_and_the_order_does_not_matter() {
 #[test]
 fn angles_of_zero_and_equal_angles_are_finite() {
     let known = scene(40).data[0].clone();
-    assert_nothing(&Rectify::Consistency, &scene(40).with_leaf(2, |_, n, c, _, _| f64::from(known.at(n, c, 0, 0) as f32)).with_data(0, map(&known, |x| f64::from(x as f32))));
+    assert_nothing(
+        &Rectify::Consistency,
+        &scene(40)
+            .with_leaf(2, |_, n, c, _, _| f64::from(known.at(n, c, 0, 0) as f32))
+            .with_data(0, map(&known, |x| f64::from(x as f32))),
+    );
     for loss in [Rectify::Consistency, Rectify::Triplet] {
         assert_finite(&loss, &scene(50).scaled(&[0, 1, 2], 0.0));
     }

@@ -7,7 +7,9 @@ use dimode_autodiff::{GradCheck, Scalar, Tape, Tensor, Var};
 use dimode_geometry::taped::{Pose, SampleGrid, so3_exp};
 
 use crate::scenes::{H, W, bent, cameras, facing_the_source, images, maps, motion, motions, vectors};
-use crate::support::{Loss, Scene, assert_finite, assert_gradient, assert_nothing, assert_order_free, assert_same_value, gradients, map};
+use crate::support::{
+    Loss, Scene, assert_finite, assert_gradient, assert_nothing, assert_order_free, assert_same_value, gradients, map,
+};
 
 const CHECK: GradCheck = GradCheck { step: 1e-7, rtol: 1e-5, atol: 1e-7, allow_zero: false };
 
@@ -68,8 +70,12 @@ impl Loss for Pair {
 
 fn all() -> impl Iterator<Item = Pair> {
     PROGRAMS.into_iter().flat_map(|program| {
-        [(false, false), (false, true), (true, false), (true, true)]
-            .map(|(both, geometry)| Pair { program, both, geometry, min_pixels: 0 })
+        [(false, false), (false, true), (true, false), (true, true)].map(|(both, geometry)| Pair {
+            program,
+            both,
+            geometry,
+            min_pixels: 0,
+        })
     })
 }
 
@@ -144,7 +150,9 @@ fn the_photometric_loss_under_a_stopped_weight_has_its_own_gradient() {
 fn numbers_are_finite_at_hazards() {
     let black = |scene: Scene| scene.scaled(&[0, 2], 0.0);
     let still = vectors(&vec![motion([0.0; 3], [0.0; 3]); 3]);
-    let resting = |scene: Scene| scene.with_leaf(4, |_, n, c, _, _| still[0].at(n, c, 0, 0)).with_leaf(5, |_, n, c, _, _| still[1].at(n, c, 0, 0));
+    let resting = |scene: Scene| {
+        scene.with_leaf(4, |_, n, c, _, _| still[0].at(n, c, 0, 0)).with_leaf(5, |_, n, c, _, _| still[1].at(n, c, 0, 0))
+    };
     for scene in [
         hazardous(-1.0, 30),
         hazardous(1.0, 30),

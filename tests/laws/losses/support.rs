@@ -25,11 +25,7 @@ impl Scene {
     /// The samples in opposite order.
     pub fn reversed(&self) -> Self {
         let all = |x: &[Tensor<f64>]| x.iter().map(reversed).collect();
-        Self {
-            leaves: all(&self.leaves),
-            data: all(&self.data),
-            cameras: self.cameras.iter().rev().cloned().collect(),
-        }
+        Self { leaves: all(&self.leaves), data: all(&self.data), cameras: self.cameras.iter().rev().cloned().collect() }
     }
 
     /// Some leaves multiplied by a number.
@@ -119,7 +115,8 @@ pub fn assert_nothing(loss: &impl Loss, scene: &Scene) {
     let (value, wide) = gradients::<f64>(loss, scene);
     let (single, narrow) = gradients::<f32>(loss, scene);
     assert_eq!((value, single), (0.0, 0.0), "{loss:?}");
-    let quiet = wide.iter().all(|g| g.data().iter().all(|&g| g == 0.0)) && narrow.iter().all(|g| g.data().iter().all(|&g| g == 0.0));
+    let quiet =
+        wide.iter().all(|g| g.data().iter().all(|&g| g == 0.0)) && narrow.iter().all(|g| g.data().iter().all(|&g| g == 0.0));
     assert!(quiet, "{loss:?}: a gradient without a value");
 }
 
@@ -151,13 +148,21 @@ fn silent_in<T: Scalar>(loss: &impl Loss, scene: &Scene, used: &[Option<Tensor<f
     for (k, (grad, before)) in grads.iter().zip(&before).enumerate() {
         assert!(before.data().iter().any(|g| g.to_f64() != 0.0), "{loss:?} in {name}: leaf {k} has no gradient at all");
         let differing = grad.data().iter().zip(before.data()).position(|(a, b)| a != b);
-        assert!(differing.is_none(), "{loss:?} in {name}: leaf {k}, entry {:?}: unused places change gradients", differing.map(|i| grad.shape().unravel(i)));
+        assert!(
+            differing.is_none(),
+            "{loss:?} in {name}: leaf {k}, entry {:?}: unused places change gradients",
+            differing.map(|i| grad.shape().unravel(i))
+        );
         let Some(used) = &used[k] else { continue };
         let s = grad.shape();
         for i in 0..s.len() {
             let [n, c, h, w] = s.unravel(i);
             let g = grad.at(n, c, h, w).to_f64();
-            assert!(used.at(n, 0, h, w) != 0.0 || g == 0.0, "{loss:?} in {name}: leaf {k} at {:?} is not used but has {g}", [n, c, h, w]);
+            assert!(
+                used.at(n, 0, h, w) != 0.0 || g == 0.0,
+                "{loss:?} in {name}: leaf {k} at {:?} is not used but has {g}",
+                [n, c, h, w]
+            );
         }
     }
 }
