@@ -296,6 +296,18 @@ mod tests {
     }
 
     #[test]
+    fn readings_that_no_one_uses_may_be_anything() {
+        let tape = Tape::new();
+        let image = tape.leaf(tensor([1, 1, 2, 3], &[1.0, 2.0, f64::NAN, 8.0, 16.0, f64::INFINITY]));
+        let coords = tape.leaf(tensor([1, 2, 1, 2], &[0.25, 1.5, 0.5, 0.5]));
+        let y = image.bilinear_sample(coords, Border).slice(3, 0, 1);
+        let grads = tape.backward(y.sum());
+        close(&y.value().to_vec(), &[0.5 * 1.25 + 0.5 * 10.0]);
+        close(&grads.wrt(coords).to_vec(), &[4.5, 0.0, 8.75, 0.0]);
+        close(&grads.wrt(image).to_vec(), &[0.375, 0.125, 0.0, 0.375, 0.125, 0.0]);
+    }
+
+    #[test]
     fn border_clamps_and_stops_the_gradient_there() {
         let (value, image, coords) = at(&[(-0.5, 0.25), (2.75, 0.25), (0.5, 1.0), (0.5, 9.0)], Border);
         close(&value, &[2.75, 11.0, 12.0, 12.0]);

@@ -350,6 +350,27 @@ mod tests {
     }
 
     #[test]
+    fn pixels_that_no_one_uses_may_hold_anything() {
+        let [d, r, a, f] = inputs();
+        let cameras = [camera(0.0), camera(1.0)];
+        let spoilt =
+            |x: &Tensor<f64>, bad: f64| Tensor::from_fn(x.shape(), |n, c, v, u| if v > 9 { bad } else { x.at(n, c, v, u) });
+        let gradients = |d: Tensor<f64>, f: Tensor<f64>| {
+            let tape = Tape::new();
+            let vars = [d, r.clone(), a.clone(), f].map(|x| tape.leaf(x));
+            let out = align(vars[0], vars[1], vars[2], vars[3], &cameras);
+            let grads = tape.backward(weighted_sum(out.slice(2, 0, 10), 5));
+            vars.map(|v| grads.wrt(v))
+        };
+        let expected = gradients(d.clone(), f.clone());
+        for bad in [f64::NAN, f64::INFINITY, 0.0] {
+            for found in [gradients(spoilt(&d, bad), f.clone()), gradients(d.clone(), spoilt(&f, bad))] {
+                assert!(found.iter().zip(&expected).all(|(a, b)| a == b), "{bad}");
+            }
+        }
+    }
+
+    #[test]
     fn same_bits_on_any_number_of_threads() {
         let run = || {
             let tape = Tape::<f32>::new();

@@ -77,6 +77,18 @@ mod tests {
     }
 
     #[test]
+    fn entries_that_no_one_uses_may_be_anything() {
+        let tape = Tape::<f64>::new();
+        let shape = Shape::new(1, 1, 1, 3);
+        let x = tape.leaf(Tensor::from_vec(shape, vec![f64::NAN, f64::INFINITY, 3.0]));
+        let y = tape.leaf(Tensor::from_vec(shape, vec![1.0, 2.0, 4.0]));
+        let used = Tensor::from_vec(shape, vec![0.0, 0.0, 1.0]);
+        let grads = tape.backward(length(x, y, 0.0).add(soft_abs(x, 4.0)).masked_mean(&used));
+        assert!((grads.wrt(x).data()[2] - 1.2).abs() < 1e-15 && (grads.wrt(y).data()[2] - 0.8).abs() < 1e-15);
+        assert_eq!((&grads.wrt(x).data()[..2], &grads.wrt(y).data()[..2]), (&[0.0; 2][..], &[0.0; 2][..]));
+    }
+
+    #[test]
     fn gradients_match_differences() {
         let shape = Shape::new(2, 1, 3, 5);
         let inputs = [random(1, shape, 0.5, 2.0), random(2, shape, -2.0, -0.5)];
