@@ -144,6 +144,20 @@ fn exact_static_scenes_cost_nothing_for_either_source() {
 }
 
 #[test]
+fn axes_that_do_not_count_are_left_out_of_the_ratios() {
+    let leaves = perturbed(motions([-0.5, -0.4]));
+    for base in presets().into_iter().filter(|o| o.tangential != TangentialForm::FlowPixels) {
+        let [all, x, y, none] = [[true; 3], [true, false, true], [false, true, false], [false; 3]]
+            .map(|axes| values(&leaves, &LossOptions { axes, ..base }));
+        for n in 0..2 {
+            assert!((x[2][n] + y[2][n] - all[2][n]).abs() < 1e-12 && x[2][n] > 0.0 && y[2][n] > 0.0, "{base:?}");
+            assert_eq!((none[2][n], none[3][n], y[3][n], x[3][n]), (0.0, 0.0, 0.0, all[3][n]), "{base:?}");
+            assert_eq!((none[0][n], none[1][n]), (all[0][n], all[1][n]), "{base:?}");
+        }
+    }
+}
+
+#[test]
 fn printed_convention_leaves_a_residual() {
     let options = LossOptions { convention: Convention::AsPrinted, ..robust() };
     let found = values(&exact(motions([-0.5, -0.4])), &options);

@@ -34,6 +34,9 @@ pub struct LossOptions {
     pub tau_translation: f64,
     /// Smallest component a translation is divided by in the aggregate terms, as a share of its length.
     pub kappa: f64,
+    /// Axes x, y, z whose ratios count; a translation that is known to have no component along one says nothing of it. The pixel
+    /// forms have no ratios.
+    pub axes: [bool; 3],
     /// Shortest predicted tangential flow of the planar pixel form, pixels.
     pub min_tangential_flow: f64,
     /// Smallest share of the translation's length that must be tangential for the planar pixel form: the direction of a
@@ -72,6 +75,7 @@ impl Default for LossOptions {
             gate: 2.0,
             tau_translation: 1e-3,
             kappa: 0.05,
+            axes: [true; 3],
             min_tangential_flow: 0.5,
             min_tangential_share: 0.3,
             smooth_pixels: 0.0,

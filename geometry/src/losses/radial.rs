@@ -30,12 +30,18 @@ pub enum RadialForm {
 pub fn radial<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
     let base = with_target_depth(pair, options.z_min);
     let (per_image, mask) = match options.radial {
+        RadialForm::FlowPixels => flow_pixels(pair, &base, options),
+        _ if !options.axes[2] => nothing(pair),
         RadialForm::Literal => printed(axis_ratio(pair, &base, None)),
         RadialForm::Robust => printed(axis_ratio(pair, &base, Some(options))),
         RadialForm::InverseRatio => inverse_ratio(pair, &base, options),
-        RadialForm::FlowPixels => flow_pixels(pair, &base, options),
     };
     LossTerm::new(per_image, &mask, options.min_valid_share)
+}
+
+/// 0 of no pixel.
+fn nothing<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> (Var<'t, T>, Tensor<T>) {
+    (pair.constant(&Tensor::zeros(pair.a(2).shape())), Tensor::zeros(pair.mask.shape()))
 }
 
 /// `A + C` and the pixels of `C`.

@@ -29,9 +29,9 @@ pub enum TangentialForm {
 pub fn tangential<'t, T: Scalar>(pair: &AlignedPair<'t, T>, options: &LossOptions) -> LossTerm<'t, T> {
     let mask = with_target_depth(pair, options.z_min);
     let per_image = match options.tangential {
-        TangentialForm::Literal => both_axes(|k| axis_ratio(pair, &mask, k, None).sum()),
-        TangentialForm::Robust => both_axes(|k| axis_ratio(pair, &mask, k, Some(options)).sum()),
-        TangentialForm::InverseRatio => inverse_ratio(pair, &mask),
+        TangentialForm::Literal => sum_of_axes(pair, options, |k| axis_ratio(pair, &mask, k, None).sum()),
+        TangentialForm::Robust => sum_of_axes(pair, options, |k| axis_ratio(pair, &mask, k, Some(options)).sum()),
+        TangentialForm::InverseRatio => inverse_ratio(pair, &mask, options),
         TangentialForm::FlowPixels => flow_pixels(pair, &mask, options.smooth_pixels),
     };
     LossTerm::new(per_image, &mask, options.min_valid_share)
@@ -47,8 +47,14 @@ pub(super) fn with_target_depth<T: Scalar>(pair: &AlignedPair<'_, T>, z_min: f64
     })
 }
 
-fn both_axes<'t, T: Scalar>(term: impl Fn(usize) -> Var<'t, T>) -> Var<'t, T> {
-    term(0).add(term(1))
+/// The sum over those of x and y that count, (N,1,1,1).
+fn sum_of_axes<'t, T: Scalar>(
+    pair: &AlignedPair<'t, T>,
+    options: &LossOptions,
+    term: impl Fn(usize) -> Var<'t, T>,
+) -> Var<'t, T> {
+    let counted = (0..2).filter(|&k| options.axes[k]).map(term);
+    counted.reduce(|a, b| a.add(b)).unwrap_or_else(|| pair.constant(&Tensor::zeros(pair.a(0).shape())))
 }
 
 fn focal<'t, T: Scalar>(pair: &AlignedPair<'t, T>, k: usize) -> Var<'t, T> {
@@ -84,9 +90,9 @@ pub(super) fn translation_length<'t, T: Scalar>(pair: &AlignedPair<'t, T>) -> Va
     length(length(pair.a(0), pair.a(1), 0.0), pair.a(2), 0.0)
 }
 
-fn inverse_ratio<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>) -> Var<'t, T> {
+fn inverse_ratio<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, options: &LossOptions) -> Var<'t, T> {
     let residual = |k| weighted_mean(recovered(pair, mask, k).sub(pair.spread(pair.a(k))).abs(), mask);
-    both_axes(residual).div_guarded(translation_length(pair), 1e-9)
+    sum_of_axes(pair, options, residual).div_guarded(translation_length(pair), 1e-9)
 }
 
 fn flow_pixels<'t, T: Scalar>(pair: &AlignedPair<'t, T>, mask: &Tensor<T>, smooth: f64) -> Var<'t, T> {
