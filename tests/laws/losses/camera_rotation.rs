@@ -134,7 +134,7 @@ fn contextual(m: &Matches) -> [f64; 2] {
 /// An exact scene of a camera that moves along its axis without turning.
 fn along_the_axis() -> Matches {
     let motions = vec![motion([0.0; 3], [0.0, 0.0, -0.6]); 3];
-    let depth = plane(&vec![nalgebra::Vector3::new(0.2, -0.3, 1.0); 3], &[6.0, 5.0, 7.0], &cameras());
+    let depth = plane(&[nalgebra::Vector3::new(0.2, -0.3, 1.0); 3], &[6.0, 5.0, 7.0], &cameras());
     let [flow, source_depth] = seen(&depth, &motions, &cameras());
     Matches { depth, source_depth, flow, motions }
 }

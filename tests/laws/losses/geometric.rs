@@ -196,7 +196,7 @@ fn degenerate() -> Vec<(&'static str, Scene)> {
         )
     };
     let nonsense = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.0, -1.0];
-    let here = |n: usize, c: usize, h: usize, w: usize| ((h + w) % 3 == 0).then(|| nonsense[(n + c + h + 2 * w) % 5]);
+    let here = |n: usize, c: usize, h: usize, w: usize| (h + w).is_multiple_of(3).then(|| nonsense[(n + c + h + 2 * w) % 5]);
     let spoilt = |k: usize| noisy(-1.0, 40).with_leaf(k, |x, n, c, h, w| here(n, c, h, w).unwrap_or(x));
     vec![
         ("exact, ahead", exact(-1.0)),

@@ -91,7 +91,7 @@ pub fn assert_gradient(loss: &impl Loss, scene: &Scene, check: GradCheck) {
     assert!(report.is_ok(), "{loss:?}\n{report}");
 }
 
-/// Value and gradients are finite in both precisions, and both say the same value.
+/// Value and gradients are finite in both precisions.
 #[track_caller]
 pub fn assert_finite(loss: &impl Loss, scene: &Scene) {
     finite_in::<f64>(loss, scene);
