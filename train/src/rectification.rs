@@ -131,7 +131,8 @@ mod tests {
             picture(c, camera.fu * ray.x / ray.z + camera.u0, camera.fv * ray.y / ray.z + camera.v0)
         });
         let depth = Tensor::full(Shape::new(1, 1, SIZE.1, SIZE.0), 5.0);
-        let pairs = |source| Pairs { target: &target, source, earlier: 0, depth: Some(&depth), cameras: &[camera()] };
+        let cameras = [camera()];
+        let pairs = |source| Pairs { target: &target, source, earlier: 0, depth: Some(&depth), cameras: &cameras };
         let (level, turns) = without_rotation(model.rectify.as_ref().unwrap(), &weights, &pairs(&source));
         assert!((turns[0].rotation - turn.rotation).norm() < 1e-6);
         for (v, u) in (8..56).flat_map(|v| (8..56).map(move |u| (v, u))) {

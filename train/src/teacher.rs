@@ -73,8 +73,9 @@ impl Teacher {
             Self::None => Ok(None),
             Self::Rendered { degradation } => {
                 let depth = frame.depth.as_ref().expect("the embedded world knows the depth of its frames");
+                let depth = without_holes(depth);
                 let seed = rng::splitmix64(rng::splitmix64(degradation.seed, sequence as u64), number as u64);
-                Ok(Some(plain(&degraded(&tensor(depth), Degradation { seed, ..*degradation }))))
+                Ok(Some(plain(&degraded(&tensor(&depth), Degradation { seed, ..*degradation }))))
             }
             Self::Folder { path, center_crop } => {
                 let file = file(path, &dataset.sequence_name(sequence), &frame.name)?;
@@ -87,6 +88,12 @@ impl Teacher {
             }
         }
     }
+}
+
+/// The depth with twice the largest one where it is unknown: that is the sky.
+fn without_holes(depth: &Map) -> Map {
+    let far = 2.0 * depth.data.iter().copied().fold(0.0, f32::max);
+    Map { data: depth.data.iter().map(|&z| if z > 0.0 { z } else { far }).collect(), ..*depth }
 }
 
 /// The map of a frame.
@@ -142,7 +149,8 @@ mod tests {
         let frame = frames.frame(1, 1).unwrap();
         let map = teacher.map(frames.as_ref(), (1, 1), &frame).unwrap().unwrap();
         assert_eq!(Some(&map), teacher.map(frames.as_ref(), (1, 1), &frame).unwrap().as_ref());
-        let truth = frame.depth.as_ref().unwrap();
+        let truth = without_holes(frame.depth.as_ref().unwrap());
+        assert!(frame.depth.as_ref().unwrap().data.contains(&0.0), "no sky to be filled");
         let ratio = |i: usize| f64::from(map.data[i] / truth.data[i]).ln();
         let (least, most) = (0..map.data.len()).map(ratio).fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
         assert!(least > -0.8 && most < 0.8 && most - least > 0.01 && most - least <= 0.1 + 1e-5, "{least} {most}");

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use dimode::checkpoint::{Checkpoint, hash};
-use dimode::config::{Config, FirstWeights};
+use dimode::config::{Config, FirstWeights, LossPreset, PseudoDepth, Rectify};
 use dimode::progress::Silent;
 use dimode::run::train::train;
 use dimode::run::{RunFolder, Start, TrainOutcome, TrainRequest};
@@ -38,6 +38,35 @@ fn two_steps_through_the_library_call_alone() {
     assert_eq!(hash(&folder.checkpoint()).unwrap(), checkpoint_hash);
     run(&TrainRequest::resume(&request.out).unwrap()).unwrap();
     assert_eq!(hash(&folder.checkpoint()).unwrap(), checkpoint_hash);
+}
+
+/// What each step depends on is in the checkpoint, whatever the method.
+#[test]
+fn a_run_of_any_method_goes_on_with_the_same_bits() {
+    let place = tempfile::tempdir().unwrap();
+    for preset in LossPreset::ALL {
+        let mut request = request(&place.path().join(format!("{preset}")));
+        preset.apply(&mut request.config);
+        let stages = &mut request.config.train.stages;
+        stages.iter_mut().for_each(|stage| (stage.share, stage.lambda3) = (1.0, 0.01));
+        request.config.train.steps = 2 * stages.len() as u64;
+        request.config.loss.local_structure.pseudo_depth = PseudoDepth::Rendered;
+        if preset == LossPreset::ScDepth {
+            request.config.nets.rectify = Rectify::Nano;
+        }
+        let TrainOutcome::Finished { checkpoint_hash, .. } = run(&request).unwrap() else { panic!("nobody stops it") };
+        let again = TrainRequest { out: place.path().join(format!("{preset}-again")), ..request };
+        let mut outcome = train(&again, &Silent, &AtomicBool::new(true)).unwrap();
+        let mut interruptions = 0;
+        while let TrainOutcome::Interrupted { .. } = outcome {
+            interruptions += 1;
+            let stop = AtomicBool::new(interruptions < 2);
+            outcome = train(&TrainRequest::resume(&again.out).unwrap(), &Silent, &stop).unwrap();
+        }
+        assert!(interruptions > 0, "{preset}");
+        let folder = RunFolder::open(&again.out).unwrap();
+        assert_eq!(hash(&folder.checkpoint()).unwrap(), checkpoint_hash, "{preset}");
+    }
 }
 
 #[test]

@@ -45,6 +45,7 @@ fn name(value: &Value) -> &'static str {
         Value::Array(items) => match items.first() {
             Some(Value::Integer(_)) => "a list of whole numbers",
             Some(Value::Float(_)) => "a list of numbers",
+            Some(Value::Boolean(_)) => "a list of true and false",
             Some(Value::Table(_)) => "a list of tables",
             _ => "a list of texts",
         },

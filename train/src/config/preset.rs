@@ -120,7 +120,7 @@ impl FromStr for LossPreset {
     fn from_str(text: &str) -> Result<Self, String> {
         let names = Self::ALL.map(Self::name);
         let found = Self::ALL.into_iter().find(|preset| preset.name() == text);
-        found.ok_or_else(|| match nearest(text, names.into_iter()) {
+        found.ok_or_else(|| match nearest(text, names) {
             Some(name) => format!("did you mean '{name}'?"),
             None => format!("use one of {}", names.join(", ")),
         })

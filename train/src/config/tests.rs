@@ -47,6 +47,7 @@ fn the_geometric_losses_have_one_set_of_names_and_defaults() {
         gate = 2.0
         tau_translation = 0.001
         kappa = 0.05
+        axes = [true, true, true]
         min_tangential_flow = 0.5
         min_tangential_share = 0.3
         smooth_pixels = 0.0
@@ -103,10 +104,14 @@ fn unset_settings_are_shown_as_comments() {
 fn groups_that_do_not_go_together_are_refused() {
     let refused = |text: &str| parse(text).unwrap().validate().unwrap_err().to_string();
     let message = refused("[nets]\nrectify = \"nano\"\n");
-    assert!(message.starts_with("nets.rectify = on: the optical flow knows nothing of the removed rotation"), "{message}");
+    assert!(message.starts_with("nets.rectify = nano: the optical flow knows nothing of the removed rotation"), "{message}");
     parse("[nets]\nrectify = \"nano\"\n[loss]\npreset = \"sc-depth\"\n").unwrap().validate().unwrap();
     let text = "[loss.local_structure]\npseudo_depth = \"rendered\"\n";
     parse(text).unwrap().validate().unwrap();
+    let message = refused(&format!("[loss]\npreset = \"monodepth2\"\n{text}"));
+    assert!(message.starts_with("loss.local_structure.pseudo_depth = rendered: no stage has lambda3 above 0"), "{message}");
+    let message = refused("[loss]\nocclusion = \"best-matches\"\n[data]\nwidth = 640\nheight = 192\n");
+    assert!(message.starts_with("loss.geometric.min_valid_share = 0.1: best-matches leaves at most 0.016"), "{message}");
     let message = refused(&format!("[data]\npath = \"frames\"\n{text}"));
     assert!(message.contains("only the embedded world is rendered"), "{message}");
     let message = refused("[loss.local_structure]\npseudo_depth = \"folder\"\n");

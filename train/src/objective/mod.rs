@@ -2,7 +2,7 @@
 //! (paper, eq. `overall_loss`), and those of the methods that it is compared with.
 //!
 //! The terms are measured on a tape of their own whose leaves are what the networks said: disparities, rotations,
-//! translations. That is where each term's gradient with respect to depth, rotation and translation is read off.
+//! translations, and, where their networks are trained by these terms, optical flow and rectified images. That is where each term's gradient with respect to depth, rotation and translation is read off.
 //!
 //! | module | terms | on when |
 //! |---|---|---|
@@ -105,3 +105,6 @@ pub fn measure(
     let terms = TERMS.iter().flat_map(|kind| (kind.measure)(&scene)).collect();
     report::report(&tape, &leaves, terms, probe.then_some(range), batch.names.len())
 }
+
+#[cfg(test)]
+mod tests;
