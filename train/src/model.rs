@@ -1,4 +1,4 @@
-//! The three networks of a run, and their weights.
+//! The networks of a run, and their weights.
 
 use dimode_autodiff::{Scalar, Shape, Tensor, Var};
 use dimode_nets::{Binder, DepthNet, FlowNet, Network, ParamSet, PoseNet, RectifyNet};
