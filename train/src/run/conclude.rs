@@ -231,6 +231,7 @@ fn report(
     let parameters = Weights::NAMES.into_iter().zip(trained.weights.sets().map(|set| set.parameter_count()));
     let parameters = parameters.filter(|(_, count)| *count > 0);
     let mut facts = vec![
+        ("loss".to_owned(), config.loss.preset.to_string()),
         ("seed".to_owned(), config.seed.to_string()),
         ("steps x batch".to_owned(), format!("{} x {}", config.train.steps, config.train.batch)),
         ("training time".to_owned(), format!("{:.0} s", seconds)),
