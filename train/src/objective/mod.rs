@@ -4,18 +4,18 @@
 //! The terms are measured on a tape of their own whose leaves are what the networks said: disparities, rotations,
 //! translations, and, where their networks are trained by these terms, optical flow and rectified images. That is where each term's gradient with respect to depth, rotation and translation is read off.
 //!
-//! | module | terms | on when |
+//! | file | terms | on when |
 //! |---|---|---|
-//! | [`photometric`] | `l_pho` | always |
-//! | [`view_pairs`] | `l_geo` | `loss.geometry_consistency` |
-//! | [`smoothness`] | `smooth` | `loss.smoothness` |
-//! | [`scale_anchor`] | `scale` | `loss.scale_anchor` |
-//! | [`below_ground`] | `below_ground` | `loss.below_ground` |
-//! | [`local_structure`] | `l_loc_normals`, `l_loc_angles`, `l_loc_ranking` | `lambda3` of the stage, and a pseudo-depth |
-//! | [`flow_consistency`] | `flow_consistency` | `loss.flow_consistency` |
-//! | [`geometric`] | `l_pla`, `l_axi`, `l_tan`, `l_rad` | `lambda1`, `lambda2` of the stage |
-//! | [`cross_task`] | `cross_task` | `cross_task` of the stage |
-//! | [`contextual`] | `contextual`, `rigid`, `divergence` | those of the stage |
+//! | `photometric.rs` | `l_pho` | always |
+//! | `view_pairs.rs` | `l_geo` | `loss.geometry_consistency` |
+//! | `smoothness.rs` | `smooth` | `loss.smoothness` |
+//! | `scale_anchor.rs` | `scale` | `loss.scale_anchor` |
+//! | `below_ground.rs` | `below_ground` | `loss.below_ground` |
+//! | `local_structure.rs` | `l_loc_normals`, `l_loc_angles`, `l_loc_ranking` | `lambda3` of the stage, and a pseudo-depth |
+//! | `flow_consistency.rs` | `flow_consistency` | `loss.flow_consistency` |
+//! | `geometric.rs` | `l_pla`, `l_axi`, `l_tan`, `l_rad` | `lambda1`, `lambda2` of the stage |
+//! | `cross_task.rs` | `cross_task` | `cross_task` of the stage |
+//! | `contextual.rs` | `contextual`, `rigid`, `divergence` | those of the stage |
 //!
 //! The flow network's own loss, `l_flow`, is [`flow`]; that of a network that removes rotation, `l_rc` and `l_rt`, is [`rotation`].
 
