@@ -5,6 +5,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use crate::grad_sink::{GradSink, GradSlot};
+use crate::gradients::Gradients;
 use crate::proof::Planted;
 use crate::{Pool, Scalar, Shape, Tensor};
 
@@ -37,7 +38,7 @@ pub struct Tape<T: Scalar> {
 /// A handle to a value on a tape; cheap to copy.
 pub struct Var<'t, T: Scalar> {
     tape: &'t Tape<T>,
-    id: usize,
+    pub(crate) id: usize,
 }
 
 impl<T: Scalar> Clone for Var<'_, T> {
@@ -340,38 +341,6 @@ impl<'t, T: Scalar> Var<'t, T> {
     }
 }
 
-/// Gradients of one scalar.
-pub struct Gradients<T: Scalar> {
-    grads: Vec<Option<Tensor<T>>>,
-    shapes: Vec<Shape>,
-    /// The nodes whose gradient served and was dropped.
-    dropped: Vec<bool>,
-}
-
-impl<T: Scalar> Gradients<T> {
-    /// The gradient with respect to a leaf or retained variable; `None` when no path leads to it.
-    pub fn get(&self, var: Var<'_, T>) -> Option<&Tensor<T>> {
-        self.grads.get(var.id).and_then(Option::as_ref)
-    }
-
-    /// The same, taken out.
-    pub(crate) fn take(&mut self, var: Var<'_, T>) -> Option<Tensor<T>> {
-        self.grads.get_mut(var.id).and_then(Option::take)
-    }
-
-    /// The gradient with respect to a leaf or retained variable; zeros when no path leads to it.
-    ///
-    /// # Panics
-    /// When the variable is an operation's output without [`Var::retain_grad`], or was recorded after the backward pass.
-    #[track_caller]
-    pub fn wrt(&self, var: Var<'_, T>) -> Tensor<T> {
-        assert!(var.id < self.shapes.len(), "wrt: the variable was recorded after this backward pass");
-        let shape = self.shapes[var.id];
-        assert!(!self.dropped[var.id], "wrt: the gradient of {shape} was not kept; the rule: leaves, and what retain_grad marks");
-        self.get(var).cloned().unwrap_or_else(|| Tensor::zeros(shape))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -453,23 +422,6 @@ mod tests {
         let (first, second) = (double(trunk), trunk.scale(3.0));
         tape.backward_and_free(first);
         tape.backward(second);
-    }
-
-    #[test]
-    #[should_panic(expected = "wrt: the gradient of [1, 1, 1, 1] was not kept")]
-    fn a_gradient_that_was_not_kept_is_refused() {
-        let tape = Tape::new();
-        let middle = double(tape.leaf(Tensor::scalar(1.0)));
-        tape.backward(double(middle)).wrt(middle);
-    }
-
-    #[test]
-    #[should_panic(expected = "wrt: the variable was recorded after this backward pass")]
-    fn a_later_variable_has_no_gradient() {
-        let tape = Tape::new();
-        let x = tape.leaf(Tensor::scalar(1.0));
-        let grads = tape.backward(double(x));
-        grads.wrt(double(x));
     }
 
     #[test]
