@@ -112,6 +112,29 @@ mod tests {
         (model, weights)
     }
 
+    /// The pair terms take what is exactly of the mean colour for not seen.
+    #[test]
+    fn sources_in_training_are_turned_alike_and_what_they_do_not_show_has_the_mean_colour() {
+        let (model, weights) = saying(Vector3::new(0.0, 0.2, 0.0));
+        let images =
+            |shift: f64| Tensor::from_fn(Shape::new(2, 3, SIZE.1, SIZE.0), |_, c, v, u| picture(c, u as f64 + shift, v as f64));
+        let (target, seen, plain) = (images(0.0), images(3.0), images(7.0));
+        let cameras = [camera(), camera()];
+        let tape = Tape::new();
+        let mut binder = Binder::new(&tape, &weights.rectify, Mode::Train);
+        let net = model.rectify.as_ref().unwrap();
+        let made = rectified_sources(net, &mut binder, [&target, &seen, &plain], &cameras, 1);
+        for (made, source) in [(&made.seen, &seen), (&made.plain.value(), &plain)] {
+            let pairs = Pairs { target: &target, source, earlier: 0, depth: None, cameras: &cameras };
+            assert_eq!(made.data(), without_rotation(net, &weights, &pairs).0.data());
+            // A turn about y of 0.2 rad is some 10 columns.
+            let hidden = |u: usize| (0..3).all(|c| made.at(0, c, 30, u) - COLOURS[0] as f32 == 0.0);
+            assert!(hidden(SIZE.0 - 1) && !hidden(SIZE.0 / 2) && !hidden(5));
+        }
+        let bias = tape.backward(made.plain.square().sum()).wrt(binder.param("rectify:decoder.convs_pose.2.bias"));
+        assert!(bias.data()[1] != 0.0, "the images teach the angles nothing");
+    }
+
     #[test]
     fn a_turned_camera_is_told_its_turn_and_what_the_pose_network_says_of_the_rest() {
         let angles = Vector3::new(0.03, -0.05, 0.04);

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::data::{DataError, write_atomic};
+use crate::objective::ImageReport;
 
 /// What one step left behind.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -26,6 +27,9 @@ pub struct StepRecord {
     /// Norms of gradients, by network or term.
     #[serde(default, deserialize_with = "numbers")]
     pub gradient_norms: BTreeMap<String, f64>,
+    /// Value and pixels of every image and source in turn, by term; in the steps in which gradients of terms are measured.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub images: BTreeMap<String, Vec<ImageReport>>,
     /// Learning rate of the step.
     pub learning_rate: f64,
     /// Time the step took, in seconds.
@@ -123,6 +127,7 @@ mod tests {
             terms: BTreeMap::from([("pho".to_owned(), 0.1 / step as f64)]),
             valid: BTreeMap::from([("pho".to_owned(), 0.9)]),
             gradient_norms: BTreeMap::new(),
+            images: BTreeMap::new(),
             learning_rate: 1e-3,
             seconds: 0.25,
         }
@@ -162,9 +167,13 @@ mod tests {
         let path = folder.path().join("log.jsonl");
         let mut bad = record(1);
         bad.terms.insert("rad".to_owned(), f64::NAN);
+        let images = [f64::INFINITY, 0.5].map(|value| ImageReport { value, pixels: 3 });
+        bad.images.insert("rad".to_owned(), images.to_vec());
         RunLog::create(&path).unwrap().append(&bad).unwrap();
         let back = read(&path).unwrap();
         assert!(back[0].terms["rad"].is_nan());
+        assert!(back[0].images["rad"][0].value.is_nan());
+        assert_eq!(back[0].images["rad"][1], ImageReport { value: 0.5, pixels: 3 });
         assert_eq!(back[0].terms["pho"], bad.terms["pho"]);
     }
 

@@ -8,6 +8,10 @@ use crate::config::{Config, DegradationConfig, PseudoDepth};
 use crate::data::{DataError, Dataset, Frame, Map, crop_map_to_shape, read_depth_png};
 use crate::losses::pseudo_depth::{Degradation, degraded, external};
 
+/// What to do about a map that is missing.
+const ADVICE: &str = "every frame but the first and last of a sequence needs one, there or in a folder `depth` beside it, as \
+                      `dimode infer` writes them";
+
 /// Who says the pseudo-depth of a batch. A frame has the same one whenever it is asked for.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Teacher {
@@ -103,7 +107,7 @@ fn file(folder: &Path, sequence: &str, name: &str) -> Result<PathBuf, DataError>
     places.iter().find(|place| place.is_file()).cloned().ok_or_else(|| DataError::Missing {
         path: places[0].clone(),
         what: "pseudo-depth map".to_owned(),
-        advice: "every frame but the first and last of a sequence needs one, there or in a folder `depth` beside it, as `dimode infer` writes them".to_owned(),
+        advice: ADVICE.to_owned(),
     })
 }
 

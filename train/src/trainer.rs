@@ -54,7 +54,8 @@ impl Trainer {
 
     /// Takes one step at the given learning rate. With `probe` each term's gradient is measured apart.
     ///
-    /// `observed` is the flow that [`ObservedFlow`](crate::observed::ObservedFlow) holds for this batch; it is found here when it is not given and needed.
+    /// `observed` is the flow that [`ObservedFlow`](crate::observed::ObservedFlow) holds for this batch; it is found here when it is
+    /// not given and needed.
     ///
     /// # Errors
     /// When a loss term, a gradient or an updated weight is not finite; nothing has changed then.

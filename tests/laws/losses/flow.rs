@@ -2,7 +2,7 @@
 
 use dimode::losses::census::{CensusForm, census};
 use dimode::losses::charbonnier::charbonnier;
-use dimode::losses::flow_photometric::{Visibility, flow_photometric_where};
+use dimode::losses::flow_data::{FlowDataTerm, Visibility, flow_data};
 use dimode::losses::flow_smoothness::{FlowSmoothness, flow_smoothness};
 use dimode::losses::forward_backward::{deviation, forward_backward};
 use dimode::losses::occluded_photometric::occluded_photometric;
@@ -105,29 +105,44 @@ fn masked_pixels_are_silent_whatever_stands_there() {
     }
 }
 
-/// Leaves are two flows; data are target, source and the flow back.
+/// Which pixels are compared.
 #[derive(Clone, Copy, Debug)]
-enum Photometric {
+enum Seen {
     InView,
     ForwardBackward,
     Reached,
     ReachedSoftly,
 }
 
-const PHOTOMETRIC: [Photometric; 4] =
-    [Photometric::InView, Photometric::ForwardBackward, Photometric::Reached, Photometric::ReachedSoftly];
+/// Of two successive flows; the images, the flow back and the weight of the smoothness are data.
+#[derive(Clone, Copy, Debug)]
+struct Sequence(FlowDataTerm, Seen);
 
-impl Loss for Photometric {
+const SEQUENCES: [Sequence; 9] = [
+    Sequence(FlowDataTerm::Photometric, Seen::InView),
+    Sequence(FlowDataTerm::Photometric, Seen::ForwardBackward),
+    Sequence(FlowDataTerm::Photometric, Seen::Reached),
+    Sequence(FlowDataTerm::Photometric, Seen::ReachedSoftly),
+    Sequence(FlowDataTerm::Occluded, Seen::InView),
+    Sequence(FlowDataTerm::Occluded, Seen::ReachedSoftly),
+    Sequence(FlowDataTerm::Census(CensusForm::ArFlow), Seen::InView),
+    Sequence(FlowDataTerm::Census(CensusForm::Smurf), Seen::ReachedSoftly),
+    Sequence(FlowDataTerm::Census(CensusForm::UnFlow { radius: 1 }), Seen::ForwardBackward),
+];
+
+impl Loss for Sequence {
     fn of<'t, T: Scalar>(&self, v: &[Var<'t, T>], scene: &Scene) -> Var<'t, T> {
         let tape = v[0].tape();
         let back = scene.data(2);
-        let visible = match self {
-            Photometric::InView => Visibility::InView,
-            Photometric::ForwardBackward => Visibility::ForwardBackward(&back),
-            Photometric::Reached => Visibility::Reached(&back, 0.75),
-            Photometric::ReachedSoftly => Visibility::ReachedSoftly(&back),
+        let visible = match self.1 {
+            Seen::InView => Visibility::InView,
+            Seen::ForwardBackward => Visibility::ForwardBackward(&back),
+            Seen::Reached => Visibility::Reached(&back, 0.75),
+            Seen::ReachedSoftly => Visibility::ReachedSoftly(&back),
         };
-        flow_photometric_where(v, tape.constant(scene.data(0)), tape.constant(scene.data(1)), scene.data[3].item(), visible)
+        let images = [0, 1].map(|k| tape.constant(scene.data(k)));
+        let smoothness = (FlowSmoothness::Second { edge: 10.0 }, scene.data[3].item());
+        flow_data(self.0, v, images, smoothness, visible)
     }
 }
 
@@ -141,8 +156,8 @@ fn shifting(seed: u64) -> Scene {
 }
 
 #[test]
-fn photometric_errors_of_flows_obey_the_laws() {
-    for form in PHOTOMETRIC {
+fn every_comparison_of_warped_images_obeys_the_laws() {
+    for form in SEQUENCES {
         for seed in [50, 60] {
             assert_gradient(&form, &shifting(seed), CHECK);
         }
@@ -163,7 +178,7 @@ fn photometric_errors_of_flows_obey_the_laws() {
 fn pixels_that_leave_the_view_have_no_photometric_gradient() {
     let scene = shifting(80).with_data(3, Tensor::scalar(0.0));
     let scene = scene.with_leaf(1, |f, _, c, h, _| if h == 2 && c == 0 { 30.0 } else { f });
-    let (_, grads) = gradients::<f64>(&Photometric::InView, &scene);
+    let (_, grads) = gradients::<f64>(&Sequence(FlowDataTerm::Photometric, Seen::InView), &scene);
     // The reading is clamped along the row only: along the column neighbours' windows see it, but not from two rows on.
     for n in 0..3 {
         assert!((0..W).all(|w| grads[1].at(n, 0, 2, w) == 0.0));

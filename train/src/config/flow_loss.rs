@@ -61,7 +61,8 @@ pub enum Occlusion {
     RangeMap,
     /// The same, weighted by how many do.
     SoftRangeMap,
-    /// And where following the flow there and back misses least: the matches that DF-VO would take, some 2000 spread over the image.
+    /// And where following the flow there and back misses least: the matches that DF-VO would take, some 2000 spread over the
+    /// image.
     BestMatches,
 }
 

@@ -86,10 +86,11 @@ pub struct LossConfig {
     /// default.
     pub flow_consistency: f64,
     /// Weight of the scale anchor, which holds the mean disparity of a batch near [`SCALE_ANCHOR`]. All terms but ranking and
-    /// `below_ground` are blind to a common scale of depth and translation, so this changes no solution of theirs; it keeps the sigmoid from saturating while
-    /// the pose network knows nothing yet.
+    /// `below_ground` are blind to a common scale of depth and translation, so this changes no solution of theirs; it keeps the
+    /// sigmoid from saturating while the pose network knows nothing yet.
     pub scale_anchor: f64,
-    /// Weight of Dynamo-Depth's penalty on points below the ground, which is found in the lower part of the depth itself; 0.1 there.
+    /// Weight of Dynamo-Depth's penalty on points below the ground, which is found in the lower part of the depth itself; 0.1
+    /// there.
     pub below_ground: f64,
     /// Neighbours that the geometric and contextual terms use.
     pub sources: Sources,

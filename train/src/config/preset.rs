@@ -19,7 +19,7 @@ pub enum LossPreset {
     /// DiMoDE with its four geometric losses as printed ([`LossOptions::literal`]), three scales, and the flow network's own loss on
     /// its last flow without smoothness; three stages.
     DimodeLiteral,
-    /// Monodepth2: minimum reprojection with auto-mask and smoothness on four scales, nothing else; one stage.
+    /// Monodepth2: minimum reprojection with auto-mask and smoothness on four scales; one stage.
     Monodepth2,
     /// SC-Depth (V1 of sc_depth_pl): photometric and geometric consistency of view pairs, smoothness of the depth; one stage. With
     /// a pseudo-depth (`loss.local_structure.pseudo_depth`) also the local structure terms of V3.

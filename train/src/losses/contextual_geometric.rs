@@ -8,7 +8,9 @@
 //!   rows `r_i` of `R`, and `s = x_s + y_s` of the source ray `(x_s, y_s, 1)`;
 //! - the error of either is `e = |D_geo - D| / (D + 1e-5)`, the loss the mean over the pixels of the batch with `e < 2`.
 //!
-//! [`total`] adds [`rigid_agreement`](super::rigid_agreement) and [`contextual_divergence`](super::contextual_divergence). All are for the next frame and the finest scale.
+//! DCPI-Depth adds [`PART_WEIGHT`] times [`rigid_agreement`](super::rigid_agreement) and
+//! [`contextual_divergence`](super::contextual_divergence) and weighs the sum by [`WEIGHT`]. All are for the next frame and the finest
+//! scale.
 //!
 //! **Gradient**: what is marked `sg` has none, and neither has the choice of pixels. Pixels that do not count have exactly zero
 //! gradient, also where an error is infinite; without any, a loss is 0 (the public code gives NaN).
@@ -180,13 +182,6 @@ pub fn triangulated_depth<'t, T: Scalar>(inputs: &ContextualInputs<'_, 't, T>, f
     depth_error(upper, lower, inputs.depth, &finite)
 }
 
-/// `depth + 0.2 divergence + 0.2 rigid`; DCPI-Depth adds [`WEIGHT`] times that to its loss.
-pub fn total<'t, T: Scalar>(depth: Var<'t, T>, divergence: Option<Var<'t, T>>, rigid: Var<'t, T>) -> Var<'t, T> {
-    let part = |x: Var<'t, T>| x.scale(PART_WEIGHT);
-    let sum = depth.add(part(rigid));
-    divergence.map_or(sum, |divergence| sum.add(part(divergence)))
-}
-
 /// `a . b` over the channels.
 pub(super) fn dot<'t, T: Scalar>(a: Var<'t, T>, b: Var<'t, T>) -> Var<'t, T> {
     let product = a.mul(b);
@@ -288,14 +283,6 @@ pub(super) mod tests {
             assert!(corrected.mean.value().item() < 2e-3, "{}", corrected.mean.value().item());
             assert!(triangulated_depth(inputs, TriangulatedForm::AsCoded).mean.value().item() > 0.1);
         });
-    }
-
-    #[test]
-    fn the_total_weighs_its_parts() {
-        let tape = Tape::<f64>::new();
-        let part = tape.leaf(Tensor::full(Shape::new(1, 1, 1, 1), 0.5));
-        assert!((total(part, Some(part), part).value().item() - 0.7).abs() < 1e-15);
-        assert!((total(part, None, part).value().item() - 0.6).abs() < 1e-15);
     }
 
     #[test]

@@ -24,7 +24,7 @@
 //! | [`rigid_agreement`] | optical and rigid flow agree, relative to the flow | DCPI-Depth |
 //! | [`cross_task`], [`flow_consistency`] | rigid and optical flow agree | DF-Net |
 //! | **Optical flow** | | |
-//! | [`flow_photometric`] | the image warped by each of a sequence of flows looks like the target | paper |
+//! | [`flow_data`] | the image warped by each of a sequence of flows looks like the target | paper |
 //! | [`occluded_photometric`] | the same of one flow with occluded pixels painted black | ARFlow |
 //! | [`census`] | neighbours differ alike in both images, whatever the brightness | UnFlow, ARFlow, SMURF |
 //! | [`flow_smoothness`] | flow changes where the image has an edge | DF-VO, ARFlow, SMURF |
@@ -43,7 +43,7 @@ pub mod depth_ranking;
 pub mod dynamo;
 pub mod edge_pairs;
 pub mod flow_consistency;
-pub mod flow_photometric;
+pub mod flow_data;
 pub mod flow_smoothness;
 pub mod forward_backward;
 pub mod gated;

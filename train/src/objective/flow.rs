@@ -6,7 +6,7 @@ use super::report::TermReport;
 use super::term::Term;
 use crate::config::{FlowData, FlowLossConfig, FlowSmoothnessForm, Iterates, Occlusion};
 use crate::losses::census::CensusForm;
-use crate::losses::flow_photometric::{FlowDataTerm, REACHED, Visibility, flow_data};
+use crate::losses::flow_data::{FlowDataTerm, REACHED, Visibility, flow_data};
 use crate::losses::flow_smoothness::FlowSmoothness;
 use crate::losses::forward_backward::forward_backward;
 use crate::non_finite::Failure;

@@ -2,7 +2,6 @@
 
 use dimode_geometry::taped::masks;
 
-use super::geometric::ways;
 use super::needs::{FlowWays, Needs};
 use super::scene::{Scene, share};
 use super::term::{Term, TermKind};
@@ -12,7 +11,7 @@ use crate::losses::flow_consistency::flow_consistency;
 pub(super) const KIND: TermKind = TermKind { needs, measure };
 
 fn needs(loss: &LossConfig, _: &StageConfig) -> Needs {
-    let flow = if loss.flow_consistency > 0.0 { ways(loss) } else { FlowWays::None };
+    let flow = if loss.flow_consistency > 0.0 { FlowWays::to_trust(loss.occlusion) } else { FlowWays::None };
     Needs { flow, ..Needs::default() }
 }
 

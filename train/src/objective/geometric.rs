@@ -7,7 +7,7 @@ use super::needs::{FlowWays, Needs, SourceDepth};
 use super::report::ImageReport;
 use super::scene::Scene;
 use super::term::{Term, TermKind};
-use crate::config::{LossConfig, Occlusion, Sources, StageConfig};
+use crate::config::{LossConfig, Sources, StageConfig};
 
 pub(super) const KIND: TermKind = TermKind { needs, measure };
 
@@ -20,12 +20,7 @@ fn needs(loss: &LossConfig, stage: &StageConfig) -> Needs {
         return Needs::default();
     }
     let source_depth = if loss.geometric.detach_source_depth { SourceDepth::Value } else { SourceDepth::Gradient };
-    Needs { source_depth, flow: ways(loss) }
-}
-
-/// The flows that the choice of trusted pixels takes.
-pub(super) fn ways(loss: &LossConfig) -> FlowWays {
-    if loss.occlusion == Occlusion::InView { FlowWays::Forward } else { FlowWays::Both }
+    Needs { source_depth, flow: FlowWays::to_trust(loss.occlusion) }
 }
 
 fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {

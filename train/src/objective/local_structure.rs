@@ -1,4 +1,5 @@
-//! `l_loc` in its parts, `l_loc_normals`, `l_loc_angles`, `l_loc_ranking`: the local structure of the depth is that of a pseudo-depth.
+//! `l_loc` in its parts, `l_loc_normals`, `l_loc_angles`, `l_loc_ranking`: the local structure of the depth is that of a
+//! pseudo-depth.
 
 use dimode_autodiff::{Tensor, Var, rng};
 
@@ -44,7 +45,7 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
     add("l_loc_angles", settings.relative_normal, &|| edge_guided_relative_normal(depth, &pseudo, images, cameras, seed(0)));
     add("l_loc_ranking", settings.depth_ranking, &|| {
         let global = random_global_pairs(depth.shape().plane(), seed(1));
-        depth_ranking(depth, &pseudo, &global, &random_dynamic_pairs(&scene.view_pairs().static_weight, seed(2)))
+        depth_ranking(depth, &pseudo, &global, &random_dynamic_pairs(&view_pairs::static_weight(scene), seed(2)))
     });
     terms
 }

@@ -1,8 +1,9 @@
-//! The total loss `L = L_pho + smoothness + scale + lambda1 (L_axi + L_pla) + lambda2 (L_rad + L_tan) + lambda3 L_loc` of a batch, term by term
-//! (paper, eq. `overall_loss`), and those of the methods that it is compared with.
+//! The total loss `L = L_pho + smoothness + scale + lambda1 (L_axi + L_pla) + lambda2 (L_rad + L_tan) + lambda3 L_loc` of a batch,
+//! term by term (paper, eq. `overall_loss`), and those of the methods that it is compared with.
 //!
 //! The terms are measured on a tape of their own whose leaves are what the networks said: disparities, rotations,
-//! translations, and, where their networks are trained by these terms, optical flow and rectified images. That is where each term's gradient with respect to depth, rotation and translation is read off.
+//! translations, and, where their networks are trained by these terms, optical flow and rectified images. That is where each
+//! term's gradient with respect to depth, rotation and translation is read off.
 //!
 //! | file | terms | on when |
 //! |---|---|---|

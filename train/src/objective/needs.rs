@@ -1,5 +1,7 @@
 //! What the terms of a stage ask of the networks beside the targets' disparities and the motions.
 
+use crate::config::Occlusion;
+
 /// Depth of the source frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum SourceDepth {
@@ -22,6 +24,13 @@ pub enum FlowWays {
     Forward,
     /// And back.
     Both,
+}
+
+impl FlowWays {
+    /// Those that tell where the flow is trusted.
+    pub(super) fn to_trust(occlusion: Occlusion) -> Self {
+        if occlusion == Occlusion::InView { Self::Forward } else { Self::Both }
+    }
 }
 
 /// What a term, or a stage, needs.

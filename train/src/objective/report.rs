@@ -25,10 +25,17 @@ pub struct TermGradients {
 /// A term on one target and source.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ImageReport {
-    /// Value before weighting.
+    /// Value before weighting. Written as `null` when it is not a number, as it may be where too few pixels let the image out of
+    /// the mean.
+    #[serde(deserialize_with = "number")]
     pub value: f64,
     /// Pixels behind it.
     pub pixels: usize,
+}
+
+fn number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let number = <Option<f64> as serde::Deserialize>::deserialize(deserializer)?;
+    Ok(number.unwrap_or(f64::NAN))
 }
 
 /// One term of the loss of one step.

@@ -9,10 +9,11 @@ use dimode_geometry::taped::visibility::{consistency_score, reached, reached_sof
 use dimode_geometry::taped::{self, Pose, masks};
 
 use super::outputs::{Flow, Outputs};
-use super::view_pairs::ViewPairs;
+use super::view_pairs::{self, ViewPairs};
 use crate::batch::{Batch, join};
 use crate::config::{LossConfig, Occlusion, StageConfig};
-use crate::losses::flow_photometric::REACHED;
+use crate::losses::flow_data::REACHED;
+use crate::losses::sc_depth_pair::PairMaps;
 use crate::model::DepthRange;
 
 /// The outputs of a batch as leaves, and what several terms make of them. Both sources are stacked along the samples, previous
@@ -31,6 +32,7 @@ pub(super) struct Scene<'a, 'l> {
     pub depth: Var<'l, f32>,
     rigid: OnceCell<Var<'l, f32>>,
     source_depth: OnceCell<Var<'l, f32>>,
+    pair_maps: OnceCell<Vec<PairMaps<'l, f32>>>,
     view_pairs: OnceCell<ViewPairs<'l>>,
 }
 
@@ -53,6 +55,7 @@ impl<'a, 'l> Scene<'a, 'l> {
             depth: twice(range.depth(leaves.disparities[0])),
             rigid: OnceCell::new(),
             source_depth: OnceCell::new(),
+            pair_maps: OnceCell::new(),
             view_pairs: OnceCell::new(),
         }
     }
@@ -114,6 +117,11 @@ impl<'a, 'l> Scene<'a, 'l> {
             Occlusion::RangeMap => masks::all_of(&[&seen, &reached(&backward(), REACHED)]),
             Occlusion::SoftRangeMap => masks::all_of(&[&seen, &reached_softly(&backward())]),
         }
+    }
+
+    /// The maps of all view pairs as sc_depth_pl has them.
+    pub fn pair_maps(&self) -> &[PairMaps<'l, f32>] {
+        self.pair_maps.get_or_init(|| view_pairs::pair_maps(self))
     }
 
     /// The consistency of view pairs.

@@ -1,4 +1,5 @@
-//! What the terms say of rendered worlds whose truth stands in for the networks, and of anything beside the functions they are made of.
+//! What the terms say of rendered worlds whose truth stands in for the networks, and of anything beside the functions they are made
+//! of.
 
 use dimode_autodiff::gradcheck::random;
 use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
@@ -118,6 +119,7 @@ fn the_truth_of_a_rendered_world_costs_little_and_an_exchange_of_sources_much() 
         truth.config.loss.geometric =
             LossOptions { noise_pixels: 0.0, noise_share: 0.0, min_tangential_share: 0.0, ..LossOptions::default() };
         truth.config.loss.geometry_consistency = 0.1;
+        truth.config.loss.scales = 2;
         truth.config.loss.flow_consistency = 1.0;
         // The radial depth is exact for motions along the axis only.
         let sideways = world == Preset::Handheld;

@@ -10,7 +10,7 @@ use super::needs::{FlowWays, Needs, SourceDepth};
 use super::scene::Scene;
 use super::term::{Term, TermKind};
 use crate::config::{LossConfig, Photometric, StageConfig};
-use crate::losses::sc_depth_pair::{self, MIN_PIXELS, PairLoss};
+use crate::losses::sc_depth_pair::{self, MIN_PIXELS, PairLoss, PairMaps};
 use crate::losses::sc_sfm_pair;
 use crate::losses::view_pair::{COLOURS, View, ViewPair};
 
@@ -18,6 +18,9 @@ pub(super) const KIND: TermKind = TermKind { needs, measure };
 
 /// What view pairs need.
 pub(super) const NEEDS: Needs = Needs { source_depth: SourceDepth::Gradient, flow: FlowWays::None };
+
+/// Where the reference is read.
+const GRID: SampleGrid = SampleGrid::Pixels;
 
 /// The consistency of all view pairs of a batch.
 pub(super) struct ViewPairs<'l> {
@@ -27,8 +30,6 @@ pub(super) struct ViewPairs<'l> {
     pub geometry: Var<'l, f32>,
     /// Share of the pixels that counted.
     pub valid: f64,
-    /// Weight of each target pixel that tells how static it is, `[n, 1, h, w]`.
-    pub static_weight: Tensor<f32>,
 }
 
 fn needs(loss: &LossConfig, _: &StageConfig) -> Needs {
@@ -46,23 +47,29 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
 
 impl<'l> ViewPairs<'l> {
     pub fn new(scene: &Scene<'_, 'l>) -> Self {
-        let pairs = pairs(scene);
-        let grid = SampleGrid::Pixels;
-        let maps: Vec<_> = pairs.iter().map(|pair| sc_depth_pair::pair_maps(pair, grid)).collect();
-        // Target to source stands before source to target.
-        let to_sources: Vec<_> = maps.iter().step_by(2).cloned().collect();
-        let static_weight = sc_depth_pair::static_weight(&to_sources);
         let (loss, candidates) = match scene.loss.photometric {
             Photometric::ScSfm => {
-                let maps: Vec<_> = pairs.iter().map(|pair| sc_sfm_pair::pair_maps(pair, grid)).collect();
+                let maps: Vec<_> = pairs(scene).iter().map(|pair| sc_sfm_pair::pair_maps(pair, GRID)).collect();
                 (sc_sfm_pair::pair_loss(&maps, 3 * MIN_PIXELS), maps.len())
             }
-            _ => (sc_depth_pair::pair_loss(&maps, MIN_PIXELS), 1),
+            _ => (sc_depth_pair::pair_loss(scene.pair_maps(), MIN_PIXELS), 1),
         };
         let PairLoss { photo, geometry, pixels } = loss;
-        let all = candidates * static_weight.shape().len();
-        ViewPairs { photo, geometry, valid: pixels as f64 / all as f64, static_weight }
+        let all = candidates * scene.samples() * scene.depth.shape().plane();
+        ViewPairs { photo, geometry, valid: pixels as f64 / all as f64 }
     }
+}
+
+/// The maps of all pairs as sc_depth_pl has them.
+pub(super) fn pair_maps<'l>(scene: &Scene<'_, 'l>) -> Vec<PairMaps<'l, f32>> {
+    pairs(scene).iter().map(|pair| sc_depth_pair::pair_maps(pair, GRID)).collect()
+}
+
+/// How static each target pixel is, `[n, 1, h, w]`.
+pub(super) fn static_weight(scene: &Scene<'_, '_>) -> Tensor<f32> {
+    // Target to source stands before source to target.
+    let to_sources: Vec<_> = scene.pair_maps().iter().step_by(2).cloned().collect();
+    sc_depth_pair::static_weight(&to_sources)
 }
 
 /// Target and previous frame, the same exchanged, target and next frame, the same exchanged.

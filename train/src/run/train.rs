@@ -216,6 +216,9 @@ fn record(step: u64, stage: &str, report: &StepReport, rate: f64, seconds: f64) 
         record.terms.insert(term.name.clone(), term.value);
         record.valid.insert(term.name.clone(), term.valid);
         if let Some(g) = term.gradients {
+            if !term.images.is_empty() {
+                record.images.insert(term.name.clone(), term.images.clone());
+            }
             let parts = [
                 ("disparity", g.disparity),
                 ("depth", g.depth),

@@ -1,8 +1,8 @@
-//! Unsupervised loss of the flow network: the warped source must look like the target.
+//! Unsupervised loss of the flow network: the warped source must look like the target, and the flow be smooth.
 //!
-//! **Formula**: `L = sum_i 0.8^(N-1-i) [ mean over visible pixels of photometric(source(p + F_i), target) + w second_order(F_i) ]`,
-//! the mean taken image by image; `second_order` is [`FlowSmoothness::Second`] with edge 10, so that kinks are cheap where the
-//! image has an edge. Which pixels are visible is a [`Visibility`].
+//! **Formula**: `L = sum_i 0.8^(N-1-i) [ data(source(p + F_i), target) + w smoothness(F_i) ]` over `N` successive flows. What the
+//! images are compared by is a [`FlowDataTerm`], over which pixels a [`Visibility`], and how the flow is smooth a
+//! [`FlowSmoothness`].
 
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::{Scalar, Tensor, Var};
@@ -15,8 +15,6 @@ use super::occluded_photometric::occluded_photometric;
 use super::photometric::photometric;
 use super::raft_sequence::GAMMA;
 
-/// Sharpness of the edge weight of the second-order term.
-const EDGE: f64 = 10.0;
 /// Source pixels that must flow to a target pixel for it to count as seen, as ARFlow has it.
 pub const REACHED: f64 = 0.2;
 
@@ -51,39 +49,6 @@ impl<T: Scalar> Visibility<'_, T> {
     }
 }
 
-/// Loss of successive flows `[n, 2, h, w]` (pixels, target to source) between images `[n, 3, h, w]`, over the pixels in view.
-///
-/// # Panics
-/// When there is no flow or shapes differ.
-#[track_caller]
-pub fn flow_photometric<'t, T: Scalar>(
-    flows: &[Var<'t, T>],
-    target: Var<'t, T>,
-    source: Var<'t, T>,
-    smoothness: f64,
-) -> Var<'t, T> {
-    flow_photometric_where(flows, target, source, smoothness, Visibility::InView)
-}
-
-/// [`flow_photometric`] over the visible pixels: [`flow_data`] with [`FlowDataTerm::Photometric`].
-///
-/// **Gradient**: to the flows and the images; none through the choice of pixels. Pixels that are not visible have none of the
-/// photometric term, and an image without a visible pixel counts 0.
-///
-/// # Panics
-/// When there is no flow or shapes differ.
-#[track_caller]
-pub fn flow_photometric_where<'t, T: Scalar>(
-    flows: &[Var<'t, T>],
-    target: Var<'t, T>,
-    source: Var<'t, T>,
-    smoothness: f64,
-    visible: Visibility<'_, T>,
-) -> Var<'t, T> {
-    let form = FlowSmoothness::Second { edge: EDGE };
-    flow_data(FlowDataTerm::Photometric, flows, [target, source], (form, smoothness), visible)
-}
-
 /// How the warped source is compared with the target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlowDataTerm {
@@ -105,9 +70,11 @@ impl FlowDataTerm {
     }
 }
 
-/// The same sum over successive flows with any data term and any smoothness with its weight; the images are target and source.
+/// The loss of successive flows `[n, 2, h, w]` (pixels, target to source) between target and source `[n, 3, h, w]`, with a form of
+/// smoothness and its weight.
 ///
-/// **Gradient**: to the flows and the images; none through the choice of pixels.
+/// **Gradient**: to the flows and the images; none through the choice of pixels. Pixels that are not visible have none of the data
+/// term, and an image without a visible pixel counts 0.
 ///
 /// # Panics
 /// When there is no flow or shapes differ.
@@ -119,7 +86,7 @@ pub fn flow_data<'t, T: Scalar>(
     (form, smoothness): (FlowSmoothness, f64),
     visible: Visibility<'_, T>,
 ) -> Var<'t, T> {
-    assert!(!flows.is_empty(), "flow_photometric: at least one flow");
+    assert!(!flows.is_empty(), "flow_data: at least one flow");
     let tape = target.tape();
     let mut total = tape.constant(Tensor::scalar(T::ZERO));
     for (i, &flow) in flows.iter().enumerate() {
@@ -137,6 +104,17 @@ mod tests {
     use dimode_autodiff::gradcheck::random;
     use dimode_autodiff::{GradCheck, Shape, Tape, gradcheck};
 
+    /// The photometric form with second-order smoothness.
+    fn photometric_flow<'t>(
+        flows: &[Var<'t, f64>],
+        images: [Var<'t, f64>; 2],
+        smoothness: f64,
+        visible: Visibility<'_, f64>,
+    ) -> Var<'t, f64> {
+        let form = FlowSmoothness::Second { edge: 10.0 };
+        flow_data(FlowDataTerm::Photometric, flows, images, (form, smoothness), visible)
+    }
+
     #[test]
     fn the_true_shift_costs_less_than_none() {
         let tape = Tape::<f64>::new();
@@ -147,7 +125,7 @@ mod tests {
         let shape = Shape::new(1, 2, 8, 12);
         let right = tape.constant(Tensor::from_fn(shape, |_, c, _, _| if c == 0 { -1.0 } else { 0.0 }));
         let none = tape.constant(Tensor::zeros(shape));
-        let cost = |f| flow_photometric(&[f], target, source, 0.1).value().item();
+        let cost = |f| photometric_flow(&[f], [target, source], 0.1, Visibility::InView).value().item();
         assert!(cost(right) < 0.2 * cost(none), "{} against {}", cost(right), cost(none));
     }
 
@@ -159,7 +137,10 @@ mod tests {
         let check = GradCheck { step: 1e-6, rtol: 1e-5, atol: 1e-8, allow_zero: false };
         gradcheck(
             &[flow],
-            |tape, v| flow_photometric(&[v[0]], tape.constant(target.clone()), tape.constant(source.clone()), 0.3),
+            |tape, v| {
+                let images = [&target, &source].map(|image| tape.constant(image.clone()));
+                photometric_flow(&[v[0]], images, 0.3, Visibility::InView)
+            },
             check,
         )
         .assert_ok();
@@ -197,7 +178,7 @@ mod tests {
         let loss = |tape: &'_ Tape<f64>, flow: Tensor<f64>| {
             let flow = tape.leaf(flow);
             let (target, source) = (tape.constant(target.clone()), tape.constant(source.clone()));
-            let loss = flow_photometric_where(&[flow], target, source, 0.0, Visibility::ReachedSoftly(&backward));
+            let loss = photometric_flow(&[flow], [target, source], 0.0, Visibility::ReachedSoftly(&backward));
             tape.backward(loss).wrt(flow)
         };
         let flow = random::<f64>(9, shape, 0.1, 0.9);
@@ -209,7 +190,7 @@ mod tests {
             &[flow],
             |tape, v| {
                 let (target, source) = (tape.constant(target.clone()), tape.constant(source.clone()));
-                flow_photometric_where(&[v[0]], target, source, 0.3, Visibility::ReachedSoftly(&backward))
+                photometric_flow(&[v[0]], [target, source], 0.3, Visibility::ReachedSoftly(&backward))
             },
             check,
         )
