@@ -208,6 +208,20 @@ impl<T: Scalar> Tape<T> {
         self.differentiate(loss, true)
     }
 
+    /// A vector-Jacobian product: gradients of `<seed, output>` with respect to every leaf; the graph is kept.
+    ///
+    /// # Panics
+    /// When the shapes of `output` and `seed` differ or `output` belongs to another tape.
+    #[track_caller]
+    pub fn backward_with(&self, output: Var<'_, T>, seed: &Tensor<T>) -> Gradients<T> {
+        assert!(std::ptr::eq(output.tape, self), "backward: the output belongs to another tape");
+        let shape = output.shape();
+        assert!(seed.shape() == shape, "backward: output {shape} needs a seed of its shape, got {}", seed.shape());
+        let mut grads = vec![None; output.id + 1];
+        grads[output.id] = Some(seed.clone());
+        self.sweep(output.id, grads, false)
+    }
+
     /// Spoils one backward rule in the sweeps to come.
     pub(crate) fn plant(&self, planted: Planted<T>) {
         *self.planted.borrow_mut() = Some(planted);
@@ -373,6 +387,21 @@ mod tests {
         let y = double(double(x));
         assert_eq!(tape.backward(y).wrt(x).item(), 4.0);
         assert_eq!(tape.backward(y).wrt(x).item(), 4.0);
+    }
+
+    #[test]
+    fn a_seed_weighs_the_entries_of_the_output() {
+        let tape = Tape::new();
+        let row = |values: [f64; 3]| Tensor::from_vec(Shape::new(1, 1, 1, 3), values.to_vec());
+        let x = tape.leaf(row([1.0, 2.0, 3.0]));
+        assert_eq!(tape.backward_with(double(x.square()), &row([1.0, 0.0, -1.0])).wrt(x).data(), [4.0, 0.0, -12.0]);
+    }
+
+    #[test]
+    #[should_panic(expected = "backward: output [1, 1, 1, 1] needs a seed of its shape, got [1, 1, 1, 2]")]
+    fn a_seed_of_another_shape_is_refused() {
+        let tape = Tape::new();
+        tape.backward_with(double(tape.leaf(Tensor::scalar(3.0))), &Tensor::zeros(Shape::new(1, 1, 1, 2)));
     }
 
     #[test]
