@@ -1,10 +1,12 @@
-//! Matrix products, sequential: the only place that names the linear algebra library.
+//! Matrix products: the only place that names the linear algebra library.
 //!
-//! Callers cut the work into units of fixed size and run them in parallel; each product runs on one thread, so its bits do not
-//! depend on the number of threads.
+//! Work is cut into units of fixed size that run in parallel; each product runs on one thread, so its bits do not depend on the
+//! number of threads.
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
+
+use crate::par;
 
 /// A matrix in memory: `rows x cols` over a slice.
 #[derive(Clone, Copy, Debug)]
@@ -43,6 +45,12 @@ pub trait GemmScalar: Sized {
     /// # Panics
     /// When the inner sizes differ or a slice has the wrong length.
     fn gemm(out: &mut [Self], a: View<'_, Self>, b: View<'_, Self>, add: bool);
+
+    /// `out = a b` in parallel, `columns` columns of `b` and `out` at a time.
+    ///
+    /// # Panics
+    /// When the inner sizes differ or a slice has the wrong length.
+    fn gemm_by_columns(out: &mut [Self], a: View<'_, Self>, b: View<'_, Self>, columns: usize);
 }
 
 macro_rules! gemm_scalar {
@@ -57,6 +65,23 @@ macro_rules! gemm_scalar {
                 let accum = if add { Accum::Add } else { Accum::Replace };
                 let dst = MatMut::from_row_major_slice_mut(out, a.rows, b.cols);
                 matmul(dst, accum, mat(a), mat(b), 1.0, Par::Seq);
+            }
+
+            #[track_caller]
+            fn gemm_by_columns(out: &mut [Self], a: View<'_, Self>, b: View<'_, Self>, columns: usize) {
+                assert!(a.cols == b.rows, "gemm: inner sizes differ: [{}, {}] x [{}, {}]", a.rows, a.cols, b.rows, b.cols);
+                let mut rest = MatMut::from_row_major_slice_mut(out, a.rows, b.cols);
+                let mut tiles = Vec::with_capacity(b.cols.div_ceil(columns));
+                while rest.ncols() > columns {
+                    let (tile, right) = rest.split_at_col_mut(columns);
+                    tiles.push(tile);
+                    rest = right;
+                }
+                tiles.push(rest);
+                par::for_each_item(tiles, |i, tile| {
+                    let b = mat(b).subcols(i * columns, tile.ncols());
+                    matmul(tile, Accum::Replace, mat(a), b, 1.0, Par::Seq);
+                });
             }
         }
     };
@@ -103,11 +128,15 @@ mod tests {
             let a: Vec<f64> = (0..m * k).map(|i| ((i * 37 % 101) as f64 - 50.0) / 17.0).collect();
             let b: Vec<f64> = (0..k * n).map(|i| ((i * 53 % 97) as f64 - 48.0) / 13.0).collect();
             let mut out = vec![0.0; m * n];
+            let mut by_columns = out.clone();
+            f64::gemm_by_columns(&mut by_columns, View::new(&a, m, k), View::new(&b, k, n), 16);
             f64::gemm(&mut out, View::new(&a, m, k), View::new(&b, k, n), false);
             for i in 0..m {
                 for j in 0..n {
                     let want: f64 = (0..k).map(|l| a[i * k + l] * b[l * n + j]).sum();
-                    assert!((out[i * n + j] - want).abs() < 1e-9 * (1.0 + want.abs()), "{m}x{k}x{n} at {i},{j}");
+                    for found in [out[i * n + j], by_columns[i * n + j]] {
+                        assert!((found - want).abs() < 1e-9 * (1.0 + want.abs()), "{m}x{k}x{n} at {i},{j}");
+                    }
                 }
             }
         }

@@ -8,13 +8,10 @@
 //! The kernels are direct: the input is copied once into padded planes, an output block of 8 channels x 3 registers is summed
 //! in registers. Work units are (image, output block), so bits do not depend on the number of threads.
 
-use std::sync::Arc;
-
-use super::conv::direct::{Direct, OutputBlock, blocks, pack_weights, padded_len};
 use super::conv::layout::Layout;
-use super::conv::weight::backward_weight;
+use super::conv::{backward_input, backward_weight, forward};
 use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
-use crate::{Pool, Scalar, Shape, Tensor, Var, par};
+use crate::{Scalar, Shape, Tensor, Var, par};
 
 /// What lies outside the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -131,7 +128,7 @@ impl<'t, T: Scalar> Var<'t, T> {
         let parents: Vec<_> = [self, weight].into_iter().chain(bias).collect();
         self.tape().push("conv2d", output, &parents, move |g, grads| {
             if let (Some(mut slot), Some(w)) = (grads.slot(0), &w) {
-                backward_input(&layout, g.data(), w.data(), slot.as_mut_slice(), &pool);
+                slot.write(|dx| backward_input(&layout, g.data(), w.data(), dx, &pool));
             }
             if let (Some(mut slot), Some(x)) = (grads.slot(1), &x) {
                 backward_weight(&layout, x.data(), g.data(), slot.as_mut_slice(), &pool);
@@ -142,139 +139,6 @@ impl<'t, T: Scalar> Var<'t, T> {
                 backward_bias(g, slot.as_mut_slice());
             }
         })
-    }
-}
-
-fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
-    let packed = l.pack_input(x, pool);
-    let (cin, taps, offsets) = (l.cin, l.taps, l.tap_offsets());
-    let weights: Vec<_> = (0..l.groups)
-        .map(|g| {
-            let first = g * l.cout;
-            pack_weights(w, [l.cout, cin, taps], |o, c, t| ((first + o) * cin + c) * taps + t, pool)
-        })
-        .collect();
-    let blocks = blocks(l.cout);
-    let mut y = pool.take(l.output.len());
-    let plane = l.output.plane();
-    let tasks = block_slices(&mut y, l.output.n() * l.groups, &blocks, plane);
-    let pitch = padded_len(l.flat_len());
-    par::for_each_item(tasks, |_, (unit, block, out)| {
-        let (n, group) = (unit / l.groups, unit % l.groups);
-        let mut scratch = pool.take(block.width * pitch);
-        T::run_direct(Direct {
-            x: &packed[(n * l.groups + group) * cin * l.channel_len()..],
-            channel_len: l.channel_len(),
-            weights: &weights[group][block.start * cin * taps..][..block.width * cin * taps],
-            offsets: &offsets,
-            len: l.flat_len(),
-            out: &mut scratch,
-            width: block.width,
-        });
-        for (o, (out, flat)) in out.chunks_exact_mut(plane).zip(scratch.chunks_exact(pitch)).enumerate() {
-            let b = bias.map_or(T::ZERO, |b| b[group * l.cout + block.start + o]);
-            for (row, flat) in out.chunks_exact_mut(l.output.w()).zip(flat.chunks(l.phase_w)) {
-                for (y, &f) in row.iter_mut().zip(flat) {
-                    *y = f + b;
-                }
-            }
-        }
-        pool.give(scratch);
-    });
-    weights.into_iter().for_each(|w| pool.give(w));
-    pool.give(packed);
-    y
-}
-
-/// A tensor's planes cut into (unit, output block, slice) tasks; a unit is one image's group of channels.
-fn block_slices<'a, T>(
-    data: &'a mut [T],
-    units: usize,
-    blocks: &[OutputBlock],
-    plane: usize,
-) -> Vec<(usize, OutputBlock, &'a mut [T])> {
-    let mut rest = data;
-    let mut tasks = Vec::with_capacity(units * blocks.len());
-    for unit in 0..units {
-        for &block in blocks {
-            let (head, tail) = rest.split_at_mut(block.width * plane);
-            tasks.push((unit, block, head));
-            rest = tail;
-        }
-    }
-    tasks
-}
-
-/// Adds the gradient of the input: for every phase of the padded input, a stride-1 product of the bordered output gradient with
-/// the taps of that phase, scattered back through the padding.
-fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], pool: &Arc<Pool<T>>) {
-    let (bordered, pitch, plane_len) = l.pack_bordered_grad(g, pool);
-    let (up, left) = l.reach();
-    let phases: Vec<_> = (0..l.phases.len())
-        .map(|phase| {
-            let taps: Vec<usize> = (0..l.taps).filter(|&t| l.tap_at[t].0 == phase).collect();
-            let offsets: Vec<usize> = taps.iter().map(|&t| (up - l.tap_at[t].1) * pitch + (left - l.tap_at[t].2)).collect();
-            let weights: Vec<_> = (0..l.groups)
-                .map(|group| {
-                    let at = |c, o, t: usize| ((group * l.cout + o) * l.cin + c) * l.taps + taps[t];
-                    pack_weights(w, [l.cin, l.cout, taps.len()], at, pool)
-                })
-                .collect();
-            (offsets, weights)
-        })
-        .collect();
-    let blocks = blocks(l.cin);
-    let tasks = block_slices(dx, l.input.n() * l.groups, &blocks, l.input.plane());
-    let len = (l.phase_h - 1) * pitch + l.phase_w;
-    let row_pitch = padded_len(len);
-    par::for_each_item(tasks, |_, (unit, block, dx)| {
-        let (n, group) = (unit / l.groups, unit % l.groups);
-        let mut scratch = pool.take(block.width * row_pitch);
-        for (phase, (offsets, weights)) in phases.iter().enumerate() {
-            let size = l.cout * offsets.len();
-            T::run_direct(Direct {
-                x: &bordered[(n * l.groups + group) * l.cout * plane_len..],
-                channel_len: plane_len,
-                weights: &weights[group][block.start * size..][..block.width * size],
-                offsets,
-                len,
-                out: &mut scratch,
-                width: block.width,
-            });
-            for (dx, flat) in dx.chunks_exact_mut(l.input.plane()).zip(scratch.chunks_exact(row_pitch)) {
-                scatter_phase(l, phase, flat, pitch, dx);
-            }
-        }
-        pool.give(scratch);
-    });
-    phases.into_iter().flat_map(|p| p.1).for_each(|w| pool.give(w));
-    pool.give(bordered);
-}
-
-/// Adds one phase plane of the padded gradient to the input positions that the padding read.
-fn scatter_phase<T: Scalar>(l: &Layout, phase: usize, flat: &[T], pitch: usize, dx: &mut [T]) {
-    let (a, b) = l.phases[phase];
-    let width = l.input.w();
-    let pad = (l.cols.len() - width) / 2;
-    for (y, flat) in flat.chunks(pitch).take(l.phase_h).enumerate() {
-        let Some(row) = l.rows.get(y * l.stride.0 + a).copied().flatten() else { continue };
-        let dx = &mut dx[row * width..][..width];
-        if l.stride.1 == 1 {
-            for (d, &f) in dx.iter_mut().zip(&flat[pad..]) {
-                *d += f;
-            }
-            for x in (0..pad).chain(pad + width..l.cols.len()) {
-                if let Some(c) = l.cols[x] {
-                    dx[c] += flat[x];
-                }
-            }
-        } else {
-            for (x, &f) in flat[..l.phase_w].iter().enumerate() {
-                if let Some(c) = l.cols.get(x * l.stride.1 + b).copied().flatten() {
-                    dx[c] += f;
-                }
-            }
-        }
     }
 }
 

@@ -1,11 +1,14 @@
-//! The direct product: output blocks as sums of shifted input planes times broadcast weights, in registers.
+//! The direct product: a block of output channels as sums of shifted input planes times broadcast weights, in registers.
 
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::{Pool, Scalar};
+use crate::Scalar;
+use crate::simd::unroll;
 
 /// Output channels of a full block.
 pub const BLOCK: usize = 8;
+/// Input channels after which partial sums are put down, so that what is read again and again stays in the nearest cache.
+const CHANNELS: usize = 16;
 
 /// Output channels `start .. start + width` of one group, as wide as the register block allows.
 #[derive(Clone, Copy, Debug)]
@@ -27,25 +30,13 @@ pub fn blocks(channels: usize) -> Vec<OutputBlock> {
     out
 }
 
-/// Weights in the order in which the kernel reads them: `[block][input channel][tap][lane of the block]`.
-///
-/// `at(output, input, tap)` is the index of a weight. The weights of a block begin at `block.start * inputs * taps`.
-pub fn pack_weights<T: Scalar>(
-    w: &[T],
-    [outputs, inputs, taps]: [usize; 3],
-    at: impl Fn(usize, usize, usize) -> usize,
-    pool: &Pool<T>,
-) -> Vec<T> {
-    let mut packed = pool.take(outputs * inputs * taps);
-    for OutputBlock { start, width } in blocks(outputs) {
-        let part = &mut packed[start * inputs * taps..][..width * inputs * taps];
-        for (k, lanes) in part.chunks_exact_mut(width).enumerate() {
-            for (lane, p) in lanes.iter_mut().enumerate() {
-                *p = w[at(start + lane, k / taps, k % taps)];
-            }
-        }
-    }
-    packed
+/// One tap of the kernel.
+#[derive(Clone, Copy, Debug)]
+pub struct Tap {
+    /// Where it reads, from the output's position, within a channel.
+    pub offset: usize,
+    /// Its weight, among those of one input and output channel.
+    pub weight: usize,
 }
 
 /// One block of outputs at flat positions `0..len`: `out[lane][pos] = sum over channels and taps of w * x`.
@@ -53,13 +44,19 @@ pub struct Direct<'a, T> {
     /// Input planes; channel `c` starts at `c * channel_len`.
     pub x: &'a [T],
     pub channel_len: usize,
-    /// Packed weights of the block.
+    /// Input channels.
+    pub channels: usize,
+    /// Weights as they are: that of the block's output `o`, channel `c`, tap `t` is at
+    /// `o * output_stride + c * channel_stride + t.weight`.
     pub weights: &'a [T],
-    /// Offset of every tap within a channel.
-    pub offsets: &'a [usize],
+    pub output_stride: usize,
+    pub channel_stride: usize,
+    pub taps: &'a [Tap],
+    /// Weights of one input and output channel, all of which may not be among `taps`.
+    pub kernel: usize,
     /// Flat positions wanted.
     pub len: usize,
-    /// Output rows of `pitch` elements, one for each channel of the block; `pitch` is `padded_len(len)`.
+    /// Output rows, one for each channel of the block, `padded_len(len)` elements each.
     pub out: &'a mut [T],
     /// Channels of the block: 8, 4, 2 or 1.
     pub width: usize,
@@ -81,53 +78,97 @@ impl<T: Scalar> WithSimd for Direct<'_, T> {
     type Output = ();
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
-        match self.width {
-            8 => sweep::<T, S, 8>(&mut self, simd),
-            4 => sweep::<T, S, 4>(&mut self, simd),
-            2 => sweep::<T, S, 2>(&mut self, simd),
-            _ => sweep::<T, S, 1>(&mut self, simd),
+        let d = &mut self;
+        // 32 registers with the widest ones, else 16.
+        let many = T::lanes::<S>() * size_of::<T>() == 64;
+        for first in (0..d.channels).step_by(CHANNELS) {
+            let channels = [first, d.channels.min(first + CHANNELS)];
+            match (d.width, many) {
+                (8, true) => sweep::<T, S, 8, 3>(d, simd, 0, channels),
+                (4, true) => sweep::<T, S, 4, 5>(d, simd, 0, channels),
+                (2, true) => sweep::<T, S, 2, 8>(d, simd, 0, channels),
+                (1, true) => sweep::<T, S, 1, 8>(d, simd, 0, channels),
+                (8, false) => {
+                    sweep::<T, S, 4, 3>(d, simd, 0, channels);
+                    sweep::<T, S, 4, 3>(d, simd, 4, channels);
+                }
+                (4, false) => sweep::<T, S, 4, 3>(d, simd, 0, channels),
+                (2, false) => sweep::<T, S, 2, 4>(d, simd, 0, channels),
+                _ => sweep::<T, S, 1, 6>(d, simd, 0, channels),
+            }
         }
     }
 }
 
+/// All positions of outputs `first .. first + O`, `V` registers at a time.
 #[inline(always)]
-fn sweep<T: Scalar, S: Simd, const O: usize>(d: &mut Direct<'_, T>, simd: S) {
+fn sweep<T: Scalar, S: Simd, const O: usize, const V: usize>(d: &mut Direct<'_, T>, simd: S, first: usize, channels: [usize; 2]) {
     let lanes = T::lanes::<S>();
     let mut pos = 0;
     while pos < d.len {
-        match (d.len - pos).div_ceil(lanes) {
-            1 => tile::<T, S, O, 1>(d, simd, pos),
-            2 => tile::<T, S, O, 2>(d, simd, pos),
-            _ => tile::<T, S, O, 3>(d, simd, pos),
+        let left = (d.len - pos).div_ceil(lanes);
+        if left >= V {
+            tile::<T, S, O, V>(d, simd, first, channels, pos);
+            pos += V * lanes;
+        } else if left >= 2 {
+            tile::<T, S, O, 2>(d, simd, first, channels, pos);
+            pos += 2 * lanes;
+        } else {
+            tile::<T, S, O, 1>(d, simd, first, channels, pos);
+            pos += lanes;
         }
-        pos += 3 * lanes;
     }
 }
 
 #[inline(always)]
-fn tile<T: Scalar, S: Simd, const O: usize, const V: usize>(d: &mut Direct<'_, T>, simd: S, pos: usize) {
+fn tile<T: Scalar, S: Simd, const O: usize, const V: usize>(
+    d: &mut Direct<'_, T>,
+    simd: S,
+    first: usize,
+    [begin, end]: [usize; 2],
+    pos: usize,
+) {
     let lanes = T::lanes::<S>();
+    let pitch = d.out.len() / d.width;
     let mut acc = [[T::splat(simd, T::ZERO); V]; O];
-    for (c, weights) in d.weights.chunks_exact(O * d.offsets.len()).enumerate() {
-        let channel = &d.x[c * d.channel_len + pos..];
-        for (&offset, w) in d.offsets.iter().zip(weights.chunks_exact(O)) {
-            let x = &channel[offset..offset + V * lanes];
-            let mut xs = [T::splat(simd, T::ZERO); V];
-            for (v, r) in xs.iter_mut().enumerate() {
-                *r = T::load::<S>(&x[v * lanes..]);
+    if begin > 0 {
+        unroll!(K in 0 1 2 3 4 5 6 7 => {
+            if K < O {
+                let row = &d.out[(first + K) * pitch + pos..][..V * lanes];
+                unroll!(L in 0 1 2 3 4 5 6 7 => {
+                    if L < V {
+                        acc[K][L] = T::load::<S>(&row[L * lanes..]);
+                    }
+                });
             }
-            for (acc, &w) in acc.iter_mut().zip(w) {
-                let w = T::splat(simd, w);
-                for (acc, &x) in acc.iter_mut().zip(&xs) {
-                    *acc = T::fma(simd, w, x, *acc);
+        });
+    }
+    let rows: [&[T]; O] = std::array::from_fn(|o| &d.weights[(first + o) * d.output_stride..]);
+    for c in begin..end {
+        let x = &d.x[c * d.channel_len + pos..];
+        let rows: [&[T]; O] = std::array::from_fn(|o| &rows[o][c * d.channel_stride..][..d.kernel]);
+        for tap in d.taps {
+            let x = &T::registers::<S>(&x[tap.offset..][..V * lanes])[..V];
+            unroll!(K in 0 1 2 3 4 5 6 7 => {
+                if K < O {
+                    let w = T::splat(simd, rows[K][tap.weight]);
+                    unroll!(L in 0 1 2 3 4 5 6 7 => {
+                        if L < V {
+                            acc[K][L] = T::fma(simd, w, x[L], acc[K][L]);
+                        }
+                    });
                 }
-            }
+            });
         }
     }
-    let pitch = d.out.len() / O;
-    for (row, acc) in d.out.chunks_exact_mut(pitch).zip(acc) {
-        for (v, r) in acc.into_iter().enumerate() {
-            T::store::<S>(&mut row[pos + v * lanes..], r);
+    unroll!(K in 0 1 2 3 4 5 6 7 => {
+        if K < O {
+            let row = &mut d.out[(first + K) * pitch + pos..][..V * lanes];
+            unroll!(L in 0 1 2 3 4 5 6 7 => {
+                if L < V {
+                    T::store::<S>(&mut row[L * lanes..], acc[K][L]);
+                }
+            });
         }
-    }
+    });
 }

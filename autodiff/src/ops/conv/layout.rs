@@ -22,6 +22,8 @@ pub struct Layout {
     pub taps: usize,
     /// Strides.
     pub stride: (usize, usize),
+    /// What lies outside the image.
+    pub pad_mode: PadMode,
     /// Rows and columns of one phase plane.
     pub phase_h: usize,
     pub phase_w: usize,
@@ -60,6 +62,7 @@ impl Layout {
             cout: weight.n() / conv.groups,
             taps: weight.plane(),
             stride: conv.stride,
+            pad_mode: conv.pad_mode,
             phase_h: (input.h() + 2 * conv.padding.0).div_ceil(sh),
             phase_w: (input.w() + 2 * conv.padding.1).div_ceil(sw),
             phases,
@@ -67,6 +70,16 @@ impl Layout {
             rows: source_indices(input.h(), conv.padding.0, conv.pad_mode),
             cols: source_indices(input.w(), conv.padding.1, conv.pad_mode),
         }
+    }
+
+    /// Rows and columns added on each side.
+    pub fn padding(&self) -> (usize, usize) {
+        ((self.rows.len() - self.input.h()) / 2, (self.cols.len() - self.input.w()) / 2)
+    }
+
+    /// Whether one phase holds all of the padded input.
+    pub fn is_dense(&self) -> bool {
+        self.stride == (1, 1)
     }
 
     /// Elements of one phase plane.
@@ -116,7 +129,8 @@ impl Layout {
         packed
     }
 
-    fn pack_plane<T: Scalar>(&self, x: &[T], out: &mut [T]) {
+    /// One plane as padded phase planes.
+    pub fn pack_plane<T: Scalar>(&self, x: &[T], out: &mut [T]) {
         let width = self.input.w();
         for (&(a, b), plane) in self.phases.iter().zip(out.chunks_exact_mut(self.phase_len())) {
             for (y, row) in plane.chunks_exact_mut(self.phase_w).enumerate() {
@@ -173,6 +187,7 @@ impl Layout {
     /// Output gradients of one group with strips of channels side by side: `[strip][n][row][column][STRIP]`, zeros beyond the
     /// last channel.
     pub fn pack_strips<T: Scalar>(&self, g: &[T], group: usize, pool: &Pool<T>) -> Vec<T> {
+        const TRANSPOSED: usize = 128;
         let plane = self.output.plane();
         let images = self.output.n();
         let mut packed = pool.take(self.cout.div_ceil(STRIP) * images * plane * STRIP);
@@ -184,9 +199,12 @@ impl Layout {
                 out.fill(T::ZERO);
             }
             let g = &g[first * plane..][..width * plane];
-            for (o, g) in g.chunks_exact(plane).enumerate() {
-                for (out, &g) in out.chunks_exact_mut(STRIP).zip(g) {
-                    out[o] = g;
+            // Few enough positions that all channels meet in the nearest cache.
+            for (tile, out) in out.chunks_mut(TRANSPOSED * STRIP).enumerate() {
+                for (o, g) in g.chunks_exact(plane).enumerate() {
+                    for (out, &g) in out.chunks_exact_mut(STRIP).zip(&g[tile * TRANSPOSED..]) {
+                        out[o] = g;
+                    }
                 }
             }
         });

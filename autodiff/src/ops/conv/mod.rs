@@ -1,10 +1,49 @@
-//! Kernels of the convolution: padding into phase planes, the direct product, the weight gradient.
+//! Kernels of the convolution: padding into phase planes, the direct product, the weight gradient. `choice` says which one when.
 
+mod backward_input;
+mod choice;
+pub mod depthwise;
 pub mod direct;
+mod forward;
 pub(super) mod layout;
-pub(super) mod weight;
+mod pointwise;
+mod weight;
 pub mod weight_grad;
 pub mod weight_outer;
+
+use std::sync::Arc;
+
+use choice::{Algorithm, algorithm};
+use layout::Layout;
+
+use crate::{Pool, Scalar};
+
+/// The output, by the way that [`choice`] names.
+pub(super) fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
+    match algorithm(l) {
+        Algorithm::Pointwise => pointwise::forward(l, x, w, bias, pool),
+        Algorithm::Depthwise => depthwise::forward(l, x, w, bias, pool),
+        Algorithm::Direct => forward::forward(l, x, w, bias, pool),
+    }
+}
+
+/// Fills `dx`, whatever it held.
+pub(super) fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], pool: &Arc<Pool<T>>) {
+    match algorithm(l) {
+        Algorithm::Pointwise => pointwise::backward_input(l, g, w, dx),
+        Algorithm::Depthwise => depthwise::backward_input(l, g, w, dx, pool),
+        Algorithm::Direct => backward_input::backward_input(l, g, w, dx, pool),
+    }
+}
+
+/// Adds the gradient of the weights.
+pub(super) fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], pool: &Arc<Pool<T>>) {
+    match algorithm(l) {
+        Algorithm::Pointwise => pointwise::backward_weight(l, x, g, dw),
+        Algorithm::Depthwise => depthwise::backward_weight(l, x, g, dw, pool),
+        Algorithm::Direct => weight::backward_weight(l, x, g, dw, pool),
+    }
+}
 
 /// Element types for which the kernels are compiled, once, in this crate: callers that are generic over the element type do not
 /// compile them again.
@@ -12,12 +51,18 @@ pub trait ConvScalar: Sized {
     /// Runs a direct product.
     #[doc(hidden)]
     fn run_direct(task: direct::Direct<'_, Self>);
+    /// Runs a plane by plane convolution.
+    #[doc(hidden)]
+    fn run_rows(task: depthwise::Rows<'_, Self>);
+    /// Runs its weight gradient.
+    #[doc(hidden)]
+    fn run_products(task: depthwise::Products<'_, Self>);
     /// Runs a weight gradient, `[output][pair]`.
     #[doc(hidden)]
     fn run_weight_grad(task: weight_grad::WeightGrad<'_, Self>) -> Vec<f64>;
-    /// Runs a weight gradient of a strip of outputs, `[pair][output]`.
+    /// Runs a weight gradient of one or two strips of outputs.
     #[doc(hidden)]
-    fn run_weight_outer(task: weight_outer::WeightOuter<'_, Self>) -> Vec<f64>;
+    fn run_weight_outer(task: weight_outer::WeightOuter<'_, Self>);
 }
 
 macro_rules! conv_scalar {
@@ -26,11 +71,17 @@ macro_rules! conv_scalar {
             fn run_direct(task: direct::Direct<'_, Self>) {
                 task.run();
             }
+            fn run_rows(task: depthwise::Rows<'_, Self>) {
+                task.run();
+            }
+            fn run_products(task: depthwise::Products<'_, Self>) {
+                task.run();
+            }
             fn run_weight_grad(task: weight_grad::WeightGrad<'_, Self>) -> Vec<f64> {
                 task.run()
             }
-            fn run_weight_outer(task: weight_outer::WeightOuter<'_, Self>) -> Vec<f64> {
-                task.run()
+            fn run_weight_outer(task: weight_outer::WeightOuter<'_, Self>) {
+                task.run();
             }
         }
     };

@@ -8,8 +8,12 @@ use super::weight_grad::{OUTPUTS, WeightGrad};
 use super::weight_outer::{STRIP, WeightOuter};
 use crate::{Pool, Scalar, par};
 
+/// Products of a unit, about.
+const WORK: usize = 1 << 22;
+/// Units that are enough for every thread to have some.
+const UNITS: usize = 16;
 /// Output channels from which on strips of them are worth their copy.
-const FEW_OUTPUTS: usize = 4;
+const FEW_OUTPUTS: usize = 16;
 
 /// Adds the gradient of the weights.
 pub fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], pool: &Arc<Pool<T>>) {
@@ -24,36 +28,64 @@ pub fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], po
     pool.give(packed);
 }
 
-/// Many output channels: a unit of work owns a strip of them and a run of (input channel, tap) pairs.
+/// Many output channels: a unit of work owns two strips of them and a run of (input channel, tap) pairs, or a part of the rows
+/// where there would be too few units.
 fn weight_by_strips<T: Scalar>(l: &Layout, packed: &[T], g: &[T], group: usize, dw: &mut [T], pool: &Arc<Pool<T>>) {
-    /// Products of a unit, about.
-    const WORK: usize = 1 << 20;
-    let strips = l.pack_strips(g, group, pool);
-    let positions = l.output.n() * l.output.plane();
+    let g = l.pack_strips(g, group, pool);
     let offsets = l.tap_offsets();
     let pairs: Vec<usize> = (0..l.cin).flat_map(|c| offsets.iter().map(move |t| c * l.channel_len() + t)).collect();
-    let run = (WORK / (positions * STRIP)).max(1).next_multiple_of(12).min(pairs.len());
-    let runs = pairs.len().div_ceil(run);
-    let sums = par::map_indices(l.cout.div_ceil(STRIP) * runs, |unit| {
-        T::run_weight_outer(WeightOuter {
-            g: &strips[unit / runs * positions * STRIP..][..positions * STRIP],
-            x: &packed[group * l.cin * l.channel_len()..],
-            x_image: l.input.c() * l.channel_len(),
-            x_row: l.phase_w,
-            pairs: &pairs[unit % runs * run..pairs.len().min((unit % runs + 1) * run)],
-            size: [l.output.n(), l.output.h(), l.output.w()],
-        })
-    });
-    let per_output = l.cin * l.taps;
-    for (unit, sums) in sums.iter().enumerate() {
-        let (first, from) = (unit / runs * STRIP, unit % runs * run);
-        for (k, sums) in sums.chunks_exact(STRIP).enumerate() {
-            for (o, &s) in sums[..STRIP.min(l.cout - first)].iter().enumerate() {
-                dw[(group * l.cout + first + o) * per_output + from + k] += T::from_f64(s);
+    let lines = l.output.n() * l.output.h();
+    let positions = lines * l.output.w();
+    let run = (WORK / (positions * 2 * STRIP)).next_multiple_of(10).clamp(50, 240).min(pairs.len());
+    let owned = runs(&mut dw[group * l.cout * pairs.len()..][..l.cout * pairs.len()], pairs.len(), run);
+    let parts = (UNITS / owned.len()).clamp(1, lines).min(positions.div_ceil(4096));
+    par::for_each_item(owned, |_, mut owned| {
+        let strips = owned.rows.len().div_ceil(STRIP);
+        let pairs = &pairs[owned.from..][..owned.rows[0].len()];
+        let sums = par::map_indices(parts, |part| {
+            let mut sums = vec![0.0; pairs.len() * strips * STRIP];
+            T::run_weight_outer(WeightOuter {
+                g: &g[owned.first * positions..],
+                strips,
+                x: &packed[group * l.cin * l.channel_len()..],
+                x_image: l.input.c() * l.channel_len(),
+                x_row: l.phase_w,
+                pairs,
+                size: [l.output.n(), l.output.h(), l.output.w()],
+                lines: lines * part / parts..lines * (part + 1) / parts,
+                sums: &mut sums,
+            });
+            sums
+        });
+        for (o, row) in owned.rows.iter_mut().enumerate() {
+            for (k, d) in row.iter_mut().enumerate() {
+                *d += T::from_f64(sums.iter().map(|sums| sums[k * strips * STRIP + o]).sum());
             }
         }
+    });
+    pool.give(g);
+}
+
+/// Weights of up to two strips of outputs, and of a run of pairs.
+struct Run<'a, T> {
+    /// First output, a multiple of [`STRIP`].
+    first: usize,
+    /// First pair.
+    from: usize,
+    /// Those of every output.
+    rows: Vec<&'a mut [T]>,
+}
+
+fn runs<T>(dw: &mut [T], pairs: usize, run: usize) -> Vec<Run<'_, T>> {
+    let mut out = Vec::new();
+    let mut rows: Vec<_> = dw.chunks_exact_mut(pairs).map(|row| row.chunks_mut(run)).collect();
+    for (block, rows) in rows.chunks_mut(2 * STRIP).enumerate() {
+        for from in (0..pairs).step_by(run) {
+            let rows = rows.iter_mut().map(|row| row.next().expect("every row has all runs")).collect();
+            out.push(Run { first: block * 2 * STRIP, from, rows });
+        }
     }
-    pool.give(strips);
+    out
 }
 
 /// Few output channels: a unit of work owns four of them and up to 16 input channels.

@@ -3,13 +3,14 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::Scalar;
+use crate::simd::unroll;
 
 /// Output channels of one register block.
 pub const OUTPUTS: usize = 4;
 /// Pairs of (input channel, tap) of one register block.
-pub const PAIRS: usize = 6;
+pub const PAIRS: usize = 5;
 /// Positions after which lanes are flushed to `f64`.
-const FLUSH: usize = 4096;
+const FLUSH: usize = 1024;
 
 /// Dot products of up to four output channels with all (input channel, tap) pairs of a range of channels.
 pub struct WeightGrad<'a, T> {
@@ -58,7 +59,7 @@ impl<T: Scalar> WithSimd for Run<'_, '_, T> {
                 1
             };
             match (self.task.outputs, step) {
-                (4, 6) => block::<T, S, 4, 6>(&self.task, simd, at, self.sums),
+                (4, PAIRS) => block::<T, S, 4, PAIRS>(&self.task, simd, at, self.sums),
                 (4, 3) => block::<T, S, 4, 3>(&self.task, simd, at, self.sums),
                 (4, _) => block::<T, S, 4, 1>(&self.task, simd, at, self.sums),
                 (outputs, _) => {
@@ -66,7 +67,7 @@ impl<T: Scalar> WithSimd for Run<'_, '_, T> {
                         let task = WeightGrad { first: self.task.first + o, outputs: 1, ..self.task };
                         let sums = &mut self.sums[o * count..(o + 1) * count];
                         match step {
-                            6 => block::<T, S, 1, 6>(&task, simd, at, sums),
+                            PAIRS => block::<T, S, 1, PAIRS>(&task, simd, at, sums),
                             3 => block::<T, S, 1, 3>(&task, simd, at, sums),
                             _ => block::<T, S, 1, 1>(&task, simd, at, sums),
                         }
@@ -81,50 +82,38 @@ impl<T: Scalar> WithSimd for Run<'_, '_, T> {
 #[inline(always)]
 fn block<T: Scalar, S: Simd, const O: usize, const P: usize>(t: &WeightGrad<'_, T>, simd: S, at: usize, sums: &mut [f64]) {
     let lanes = T::lanes::<S>();
-    let zero = T::splat(simd, T::ZERO);
-    let mut acc = [[zero; P]; O];
-    let mut held = 0;
+    let pairs = t.pairs.len();
     for n in 0..t.images {
         let g = &t.g[n * t.g_image + t.first * t.pitch..][..O * t.pitch];
         let x = &t.x[n * t.x_image..];
-        let mut pos = 0;
-        while pos < t.pitch {
-            let end = (pos + FLUSH).min(t.pitch);
-            while pos < end {
-                let mut gs = [zero; O];
-                for o in 0..O {
-                    gs[o] = T::load::<S>(&g[o * t.pitch + pos..]);
-                }
-                for p in 0..P {
-                    let x = T::load::<S>(&x[t.pairs[at + p] + pos..]);
-                    for o in 0..O {
-                        acc[o][p] = T::fma(simd, gs[o], x, acc[o][p]);
+        for pos in (0..t.pitch).step_by(FLUSH) {
+            let len = FLUSH.min(t.pitch - pos);
+            let steps = len / lanes;
+            let gs: [&[T::Reg<S>]; O] = std::array::from_fn(|o| &T::registers::<S>(&g[o * t.pitch + pos..][..len])[..steps]);
+            let xs: [&[T::Reg<S>]; P] = std::array::from_fn(|p| &T::registers::<S>(&x[t.pairs[at + p] + pos..][..len])[..steps]);
+            let mut acc = [[T::splat(simd, T::ZERO); P]; O];
+            for i in 0..steps {
+                let x: [_; P] = std::array::from_fn(|p| xs[p][i]);
+                unroll!(K in 0 1 2 3 => {
+                    if K < O {
+                        let g = gs[K][i];
+                        unroll!(L in 0 1 2 3 4 5 => {
+                            if L < P {
+                                acc[K][L] = T::fma(simd, g, x[L], acc[K][L]);
+                            }
+                        });
                     }
+                });
+            }
+            unroll!(K in 0 1 2 3 => {
+                if K < O {
+                    unroll!(L in 0 1 2 3 4 5 => {
+                        if L < P {
+                            sums[K * pairs + at + L] += T::reduce_sum(simd, acc[K][L]).to_f64();
+                        }
+                    });
                 }
-                pos += lanes;
-                held += lanes;
-            }
-            if held >= FLUSH {
-                flush::<T, S, O, P>(simd, &mut acc, t.pairs.len(), at, sums);
-                held = 0;
-            }
-        }
-    }
-    flush::<T, S, O, P>(simd, &mut acc, t.pairs.len(), at, sums);
-}
-
-#[inline(always)]
-fn flush<T: Scalar, S: Simd, const O: usize, const P: usize>(
-    simd: S,
-    acc: &mut [[T::Reg<S>; P]; O],
-    count: usize,
-    at: usize,
-    sums: &mut [f64],
-) {
-    for o in 0..O {
-        for p in 0..P {
-            sums[o * count + at + p] += T::reduce_sum(simd, acc[o][p]).to_f64();
-            acc[o][p] = T::splat(simd, T::ZERO);
+            });
         }
     }
 }

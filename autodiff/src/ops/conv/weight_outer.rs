@@ -1,20 +1,22 @@
-//! The weight gradient of several output channels: at every position, the output gradients of a strip of channels times the
-//! input that a tap reads there. No sum over lanes is left at the end, and positions beyond the image are never visited.
+//! The weight gradient of several output channels: at every position, the output gradients of one or two strips of channels times
+//! the input that a tap reads there. No sum over lanes is left at the end, and positions beyond the image are never visited.
 
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::Scalar;
+use crate::simd::unroll;
 
 /// Output channels side by side in memory.
 pub const STRIP: usize = 16;
 /// Positions that all pairs visit before the next ones are read, about; registers are flushed to `f64` between.
-const TILE: usize = 1024;
+const TILE: usize = 256;
 
-/// Sums over all positions of the output gradients of a strip times the inputs of some (input channel, tap) pairs.
-#[derive(Clone, Copy)]
+/// Sums over some rows of the output gradients of one or two strips times the inputs of some (input channel, tap) pairs.
 pub struct WeightOuter<'a, T> {
-    /// Output gradients of the strip, `[image][row][column][STRIP]`, zeros beyond the last channel.
+    /// Output gradients, `[strip][image][row][column][STRIP]`, zeros beyond the last channel.
     pub g: &'a [T],
+    /// Strips, 1 or 2.
+    pub strips: usize,
     /// Packed input of one group: image `n` starts at `n * x_image`, rows are `x_row` apart.
     pub x: &'a [T],
     pub x_image: usize,
@@ -23,134 +25,102 @@ pub struct WeightOuter<'a, T> {
     pub pairs: &'a [usize],
     /// Images, rows and columns of the output.
     pub size: [usize; 3],
+    /// Rows to visit, counted through all images.
+    pub lines: std::ops::Range<usize>,
+    /// `[pair][strip][STRIP]`, to be added to.
+    pub sums: &'a mut [f64],
 }
 
 impl<T: Scalar> WeightOuter<'_, T> {
-    /// The sums, `[pair][STRIP]`.
-    pub fn run(self) -> Vec<f64> {
-        let mut sums = vec![0.0; self.pairs.len() * STRIP];
-        Arch::new().dispatch(Run { task: self, sums: &mut sums });
-        sums
+    /// Runs the kernel on the processor's widest registers.
+    pub fn run(self) {
+        Arch::new().dispatch(self);
     }
 }
 
-struct Run<'a, 'b, T> {
-    task: WeightOuter<'a, T>,
-    sums: &'b mut [f64],
-}
-
-impl<T: Scalar> WithSimd for Run<'_, '_, T> {
+impl<T: Scalar> WithSimd for WeightOuter<'_, T> {
     type Output = ();
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
+    fn with_simd<S: Simd>(mut self, simd: S) {
         let lanes = T::lanes::<S>();
-        let [images, rows, cols] = self.task.size;
-        let (lines, step) = (images * rows, TILE.div_ceil(cols));
-        for first in (0..lines).step_by(step) {
-            let tile = Tile { task: &self.task, first, last: lines.min(first + step) };
-            let (count, mut at) = (self.task.pairs.len(), 0);
-            if lanes == STRIP {
-                while at < count {
-                    at += match count - at {
-                        12.. => block::<T, S, 1, 12>(&tile, simd, 0, at, self.sums),
-                        3.. => block::<T, S, 1, 3>(&tile, simd, 0, at, self.sums),
-                        _ => block::<T, S, 1, 1>(&tile, simd, 0, at, self.sums),
+        let t = &mut self;
+        // 32 registers with the widest ones, else 16.
+        let many = lanes * size_of::<T>() == 64;
+        let (step, outputs) = (TILE.div_ceil(t.size[2]), t.strips * STRIP);
+        let lines = t.lines.clone();
+        for first in lines.clone().step_by(step) {
+            let lines = [first, lines.end.min(first + step)];
+            let mut lane = 0;
+            while lane < outputs {
+                let two = lane + 2 * lanes <= outputs;
+                let mut at = 0;
+                while at < t.pairs.len() {
+                    at += match (t.pairs.len() - at, two, many) {
+                        (10.., true, true) => block::<T, S, 2, 10>(t, simd, lines, lane, at),
+                        (6.., true, _) => block::<T, S, 2, 6>(t, simd, lines, lane, at),
+                        (3.., true, _) => block::<T, S, 2, 3>(t, simd, lines, lane, at),
+                        (_, true, _) => block::<T, S, 2, 1>(t, simd, lines, lane, at),
+                        (24.., false, true) => block::<T, S, 1, 24>(t, simd, lines, lane, at),
+                        (9.., false, _) => block::<T, S, 1, 9>(t, simd, lines, lane, at),
+                        (3.., false, _) => block::<T, S, 1, 3>(t, simd, lines, lane, at),
+                        (_, false, _) => block::<T, S, 1, 1>(t, simd, lines, lane, at),
                     };
                 }
-                continue;
-            }
-            // Shorter registers: two at a time.
-            for lane in (0..STRIP).step_by(2 * lanes) {
-                at = 0;
-                while at < count {
-                    at += match count - at {
-                        6.. => block::<T, S, 2, 6>(&tile, simd, lane, at, self.sums),
-                        _ => block::<T, S, 2, 1>(&tile, simd, lane, at, self.sums),
-                    };
-                }
+                lane += if two { 2 * lanes } else { lanes };
             }
         }
     }
-}
-
-/// Rows of output, counted through all images.
-struct Tile<'a, T> {
-    task: &'a WeightOuter<'a, T>,
-    first: usize,
-    last: usize,
 }
 
 /// `P` pairs from `at` on, `V` registers of channels from `lane` on. Returns `P`.
 #[inline(always)]
 fn block<T: Scalar, S: Simd, const V: usize, const P: usize>(
-    tile: &Tile<'_, T>,
+    t: &mut WeightOuter<'_, T>,
     simd: S,
+    lines: [usize; 2],
     lane: usize,
     at: usize,
-    sums: &mut [f64],
 ) -> usize {
-    let t = tile.task;
-    let [_, rows, cols] = t.size;
+    let lanes = T::lanes::<S>();
+    let [images, rows, cols] = t.size;
+    let strip_len = images * rows * cols * STRIP;
     let mut acc = [[T::splat(simd, T::ZERO); V]; P];
-    for line in tile.first..tile.last {
-        let from = line / rows * t.x_image + line % rows * t.x_row;
-        let mut starts = [0; P];
-        for (start, pair) in starts.iter_mut().zip(&t.pairs[at..at + P]) {
-            *start = from + pair;
-        }
-        let g = &t.g[line * cols * STRIP..][..cols * STRIP];
-        let mut i = 0;
-        while i + 4 <= cols {
-            positions::<T, S, V, P, 4>(t.x, simd, &g[i * STRIP + lane..], &starts, i, &mut acc);
-            i += 4;
-        }
-        while i < cols {
-            positions::<T, S, V, P, 1>(t.x, simd, &g[i * STRIP + lane..], &starts, i, &mut acc);
-            i += 1;
+    for line in lines[0]..lines[1] {
+        let (n, row) = (line / rows, line % rows);
+        let x = &t.x[n * t.x_image + row * t.x_row..];
+        let xs: [&[T]; P] = std::array::from_fn(|p| &x[t.pairs[at + p]..][..cols]);
+        let gs: [&[T]; V] = std::array::from_fn(|v| {
+            let lane = lane + v * lanes;
+            &t.g[lane / STRIP * strip_len + line * cols * STRIP..][..cols * STRIP][lane % STRIP..]
+        });
+        for j in 0..cols {
+            let g: [_; V] = std::array::from_fn(|v| T::load::<S>(&gs[v][j * STRIP..]));
+            unroll!(K in 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 => {
+                if K < P {
+                    let x = T::splat(simd, xs[K][j]);
+                    unroll!(L in 0 1 => {
+                        if L < V {
+                            acc[K][L] = T::fma(simd, g[L], x, acc[K][L]);
+                        }
+                    });
+                }
+            });
         }
     }
-    flush::<T, S, V, P>(lane, &acc, &mut sums[at * STRIP..][..P * STRIP]);
+    let outputs = t.strips * STRIP;
+    let mut row = [T::ZERO; STRIP];
+    unroll!(K in 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 => {
+        if K < P {
+            unroll!(L in 0 1 => {
+                if L < V {
+                    T::store::<S>(&mut row, acc[K][L]);
+                    let sums = &mut t.sums[(at + K) * outputs + lane + L * lanes..][..lanes];
+                    for (sum, x) in sums.iter_mut().zip(row) {
+                        *sum += x.to_f64();
+                    }
+                }
+            });
+        }
+    });
     P
-}
-
-/// Adds the products of `C` neighbouring positions.
-#[inline(always)]
-fn positions<T: Scalar, S: Simd, const V: usize, const P: usize, const C: usize>(
-    x: &[T],
-    simd: S,
-    g: &[T],
-    starts: &[usize; P],
-    i: usize,
-    acc: &mut [[T::Reg<S>; V]; P],
-) {
-    let lanes = T::lanes::<S>();
-    let mut gs = [[T::splat(simd, T::ZERO); V]; C];
-    for (c, gs) in gs.iter_mut().enumerate() {
-        for (v, g_v) in gs.iter_mut().enumerate() {
-            *g_v = T::load::<S>(&g[c * STRIP + v * lanes..]);
-        }
-    }
-    for (start, acc) in starts.iter().zip(acc) {
-        let x = &x[start + i..][..C];
-        for (&x, gs) in x.iter().zip(&gs) {
-            let x = T::splat(simd, x);
-            for (acc, &g) in acc.iter_mut().zip(gs) {
-                *acc = T::fma(simd, x, g, *acc);
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn flush<T: Scalar, S: Simd, const V: usize, const P: usize>(lane: usize, acc: &[[T::Reg<S>; V]; P], sums: &mut [f64]) {
-    let lanes = T::lanes::<S>();
-    let mut values = [T::ZERO; STRIP];
-    for (acc, sums) in acc.iter().zip(sums.chunks_exact_mut(STRIP)) {
-        for (v, acc) in acc.iter().enumerate() {
-            T::store::<S>(&mut values, *acc);
-            for (sum, value) in sums[lane + v * lanes..][..lanes].iter_mut().zip(&values) {
-                *sum += value.to_f64();
-            }
-        }
-    }
 }
