@@ -31,6 +31,7 @@
 //! | [`observability`] | which motions the direction losses can see |
 //! | [`taped`] | the same geometry as differentiable operations |
 //! | [`losses`] | the four losses on the tape |
+//! | [`image_losses`] | the losses of colours on the tape |
 //! | [`scenes`] | reference scenes and motions |
 //! | [`ledger`] | every claim of the paper with its verdict and check |
 
@@ -42,6 +43,7 @@ pub mod deviation;
 pub mod error;
 pub mod flow;
 pub mod homography;
+pub mod image_losses;
 pub mod ledger;
 pub mod loss_forms;
 pub mod losses;

@@ -4,7 +4,7 @@
 //! Rotations that leave the identity by little keep their digits: every kernel works with `R - I`.
 
 pub mod alignment;
-mod bands;
+pub(crate) mod bands;
 pub mod derotate;
 pub mod masks;
 pub mod matches;

@@ -15,11 +15,11 @@ use pulp::{Arch, Simd, WithSimd};
 /// Weight of the dissimilarity.
 pub const ALPHA: f64 = 0.85;
 /// Keeps the quotient of means away from 0 / 0.
-pub(super) const C1: f64 = 0.01 * 0.01;
+pub const C1: f64 = 0.01 * 0.01;
 /// Keeps the quotient of variances away from 0 / 0.
-pub(super) const C2: f64 = 0.03 * 0.03;
+pub const C2: f64 = 0.03 * 0.03;
 /// Colours are moved by this much before sums are taken.
-pub(super) const SHIFT: f64 = 0.5;
+pub const SHIFT: f64 = 0.5;
 
 /// Error map `[n, 1, h, w]` of `warped` against `target`, both `[n, c, h, w]` with colours in [0, 1].
 ///
@@ -301,7 +301,7 @@ mod tests {
 
     #[test]
     fn inner_pixels_have_the_error_and_the_gradient_of_the_closed_form() {
-        use dimode_geometry::photometric::{ALPHA, C1, C2, Moments, channel_error_gradient, photometric_error};
+        use crate::photometric::{ALPHA, C1, C2, Moments, channel_error_gradient, photometric_error};
         let shape = Shape::new(1, 3, 5, 7);
         let images = [1, 2].map(|seed| random::<f64>(seed, shape, 0.0, 1.0));
         let tape = Tape::new();

@@ -51,18 +51,18 @@ pub fn mean_normalised<'t, T: Scalar>(map: Var<'t, T>) -> Var<'t, T> {
 }
 
 /// `x(i + 1) - x(i)` along rows (2) or columns (3).
-pub(super) fn steps<T: Scalar>(x: Var<'_, T>, axis: usize) -> Var<'_, T> {
+pub fn steps<T: Scalar>(x: Var<'_, T>, axis: usize) -> Var<'_, T> {
     let len = x.shape().0[axis] - 1;
     x.slice(axis, 1, len).sub(x.slice(axis, 0, len))
 }
 
 /// Mean of penalties times one weight for all channels.
-pub(super) fn weighted<'t, T: Scalar>(penalty: Var<'t, T>, weight: Var<'t, T>) -> Var<'t, T> {
+pub fn weighted<'t, T: Scalar>(penalty: Var<'t, T>, weight: Var<'t, T>) -> Var<'t, T> {
     penalty.mul(weight.broadcast_to(penalty.shape())).mean()
 }
 
 /// `exp(-edge mean_c |I(i + to) - I(i + from)|)` along rows (2) or columns (3), one channel, `to` entries fewer.
-pub(super) fn edge_weights<T: Scalar>(images: &Tensor<T>, axis: usize, [from, to]: [usize; 2], edge: f64) -> Tensor<T> {
+pub fn edge_weights<T: Scalar>(images: &Tensor<T>, axis: usize, [from, to]: [usize; 2], edge: f64) -> Tensor<T> {
     let mut shape = images.shape().with_c(1);
     shape.0[axis] -= to;
     let channels = images.shape().c();
