@@ -1,9 +1,12 @@
-//! The loss core, forward and backward, at 640 x 192 and at nano size: warp, photometric error and minimum over sources; then the
+//! The loss core, forward and backward, at 640 x 192 and at nano size: warp, photometric error and minimum over sources with
+//! auto-mask, as one operation and composed of several; smoothness; then the
 //! aligned pair with L_pla, L_axi, L_tan and L_rad, in the literal form and in the one that training uses by default.
 
 use criterion::{Criterion, criterion_group, criterion_main};
+use dimode::losses::fused_reprojection::{Combine, Frames, fused_reprojection};
 use dimode::losses::min_reprojection::min_reprojection;
 use dimode::losses::photometric::photometric;
+use dimode::losses::smoothness::smoothness;
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::rng::uniform;
 use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
@@ -57,23 +60,52 @@ fn pose<'t>(rotation: Var<'t, f32>, translation: Var<'t, f32>, invert: bool) -> 
     taped::source_from_target(rotation, translation, invert, RotationForm::Exponential)
 }
 
+/// Motions to the previous frame, then to the next one.
+fn both_motions<'t>(rotation: Var<'t, f32>, translation: Var<'t, f32>) -> [Pose<'t, f32>; 2] {
+    [pose(rotation, translation, true), pose(rotation, translation, false)]
+}
+
 fn photometric_core(c: &mut Criterion) {
     for (n, h, w) in SIZES {
         let scene = Scene::new(n, h, w);
         let images = random_images(Shape::new(n, 3, h, w));
+        let sources = [images.previous.clone(), images.next.clone()];
         let pool = Pool::new();
-        c.bench_function(&format!("warp + photometric + minimum/{w}x{h} b{n}"), |b| {
+        c.bench_function(&format!("warp + photometric + minimum, composed/{w}x{h} b{n}"), |b| {
             b.iter(|| {
                 let tape = Tape::with_pool(pool.clone());
                 let [depth, rotation, translation] = scene.leaves(&tape);
                 let target = tape.constant(images.target.clone());
-                let error = |source: &Tensor<f32>, invert| {
-                    let Pose { rotation, translation } = pose(rotation, translation, invert);
-                    let flow = taped::rigid_flow(depth, rotation, translation, &scene.cameras).slice(1, 0, 2);
-                    photometric(taped::warp(tape.constant(source.clone()), flow, SamplePadding::Border), target)
+                let identities = sources.each_ref().map(|source| photometric(tape.constant(source.clone()), target).value());
+                let motions = both_motions(rotation, translation);
+                let errors = [0, 1].map(|k| {
+                    let flow = taped::rigid_flow(depth, motions[k].rotation, motions[k].translation, &scene.cameras);
+                    let source = tape.constant(sources[k].clone());
+                    photometric(taped::warp(source, flow.slice(1, 0, 2), SamplePadding::Border), target)
+                });
+                tape.backward(min_reprojection(&errors, &identities).error.mean())
+            });
+        });
+        c.bench_function(&format!("warp + photometric + minimum, fused/{w}x{h} b{n}"), |b| {
+            b.iter(|| {
+                let tape = Tape::with_pool(pool.clone());
+                let [depth, rotation, translation] = scene.leaves(&tape);
+                let target = tape.constant(images.target.clone());
+                let identities = sources.each_ref().map(|source| photometric(tape.constant(source.clone()), target).value());
+                let frames = Frames::new(&tape, &images.target, &sources, &identities, Combine::Minimum);
+                let motions = both_motions(rotation, translation);
+                let motion = Pose {
+                    rotation: Var::concat(&motions.map(|m| m.rotation), 0),
+                    translation: Var::concat(&motions.map(|m| m.translation), 0),
                 };
-                let errors = [error(&images.previous, true), error(&images.next, false)];
-                tape.backward(min_reprojection(&errors, &[]).error.mean())
+                tape.backward(fused_reprojection(depth, motion, &scene.cameras.repeat(2), &frames).mean)
+            });
+        });
+        c.bench_function(&format!("smoothness/{w}x{h} b{n}"), |b| {
+            b.iter(|| {
+                let tape = Tape::with_pool(pool.clone());
+                let [depth, ..] = scene.leaves(&tape);
+                tape.backward(smoothness(depth, &images.target))
             });
         });
     }

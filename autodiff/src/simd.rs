@@ -50,6 +50,9 @@ pub trait SimdScalar: Copy {
     fn both<S: Simd>(simd: S, a: Self::Truth<S>, b: Self::Truth<S>) -> Self::Truth<S>;
     /// Where one holds.
     fn either<S: Simd>(simd: S, a: Self::Truth<S>, b: Self::Truth<S>) -> Self::Truth<S>;
+    /// Takes numbers in groups of four apart: the first of every group, the second, and so on. The order of the groups is that of
+    /// the instruction set, the same in all four.
+    fn apart<S: Simd>(simd: S, a: [Self::Reg<S>; 4]) -> [Self::Reg<S>; 4];
     /// Where it does not hold.
     fn contrary<S: Simd>(simd: S, a: Self::Truth<S>) -> Self::Truth<S>;
 }
@@ -59,7 +62,7 @@ macro_rules! simd_scalar {
         $t:ident, $reg:ident, $truth:ident, $lanes:ident, $splat:ident, $as:ident, $as_mut:ident, $part:ident, $part_store:ident;
         [$($name:ident = $call:ident($($x:ident),*);)*]
         [$($truth_name:ident = $truth_call:ident($($y:ident),*);)*]
-        $less:ident, $select:ident, $reduce:ident
+        $less:ident, $select:ident, $reduce:ident, $apart:ident
     ) => {
         impl SimdScalar for $t {
             type Reg<S: Simd> = S::$reg;
@@ -113,6 +116,10 @@ macro_rules! simd_scalar {
                 simd.$select(truth, a, b)
             }
             #[inline(always)]
+            fn apart<S: Simd>(simd: S, a: [S::$reg; 4]) -> [S::$reg; 4] {
+                simd.$apart(a)
+            }
+            #[inline(always)]
             fn reduce_sum<S: Simd>(simd: S, a: S::$reg) -> Self {
                 simd.$reduce(a)
             }
@@ -133,7 +140,7 @@ simd_scalar!(
     [both = and_m32s(a, b);
     either = or_m32s(a, b);
     contrary = not_m32s(a);]
-    less_than_f32s, select_f32s, reduce_sum_f32s
+    less_than_f32s, select_f32s, reduce_sum_f32s, deinterleave_shfl_f32s
 );
 simd_scalar!(
     f64, f64s, m64s, F64_LANES, splat_f64s, as_simd_f64s, as_mut_simd_f64s, partial_load_f64s, partial_store_f64s;
@@ -148,7 +155,7 @@ simd_scalar!(
     [both = and_m64s(a, b);
     either = or_m64s(a, b);
     contrary = not_m64s(a);]
-    less_than_f64s, select_f64s, reduce_sum_f64s
+    less_than_f64s, select_f64s, reduce_sum_f64s, deinterleave_shfl_f64s
 );
 
 /// Repeats a block with a constant that takes each of the values: loops over registers must be written out before the compiler
@@ -263,6 +270,18 @@ impl<S: Simd, T: SimdScalar> Wide<S, T> {
     #[inline(always)]
     pub fn max(self, other: Self) -> Self {
         other.less(self).choose(self, other)
+    }
+
+    /// Takes numbers in groups of four, as many groups as a register has lanes, apart: the first of every group, the second, the
+    /// third and the fourth. The order of the groups is that of the instruction set, the same in all four registers; groups that
+    /// hold their number tell it.
+    #[inline(always)]
+    pub fn apart(simd: S, groups: &[[T; 4]]) -> [Self; 4] {
+        let (flat, lanes) = (groups.as_flattened(), Self::lanes());
+        let (a, b) = (T::load::<S>(flat), T::load::<S>(&flat[lanes..]));
+        let (c, d) = (T::load::<S>(&flat[2 * lanes..]), T::load::<S>(&flat[3 * lanes..]));
+        let [a, b, c, d] = T::apart(simd, [a, b, c, d]);
+        [Self { simd, reg: a }, Self { simd, reg: b }, Self { simd, reg: c }, Self { simd, reg: d }]
     }
 
     /// Sum of all lanes.
@@ -414,6 +433,43 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// Groups `(4 i, 4 i + 1, 4 i + 2, 4 i + 3)` taken apart.
+    struct Apart<T>(std::marker::PhantomData<T>);
+
+    impl<T: Scalar> WithSimd for Apart<T> {
+        type Output = [Vec<T>; 4];
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> [Vec<T>; 4] {
+            let lanes = Wide::<S, T>::lanes();
+            let groups: Vec<[T; 4]> = (0..lanes).map(|i| std::array::from_fn(|k| T::from_usize(4 * i + k))).collect();
+            Wide::apart(simd, &groups).map(|numbers| {
+                let mut out = vec![T::ZERO; lanes];
+                numbers.store(&mut out);
+                out
+            })
+        }
+    }
+
+    fn groups_come_apart_in_one_order<T: Scalar>() {
+        for found in [
+            Arch::new().dispatch(Apart::<T>(std::marker::PhantomData)),
+            Apart(std::marker::PhantomData).with_simd(OneLane::new()),
+        ] {
+            let mut firsts: Vec<usize> = found[0].iter().map(|x| x.to_f64() as usize).collect();
+            for (k, numbers) in found.iter().enumerate() {
+                assert!(numbers.iter().zip(&firsts).all(|(x, &first)| x.to_f64() as usize == first + k));
+            }
+            firsts.sort_unstable();
+            assert!(firsts.iter().enumerate().all(|(i, &first)| first == 4 * i));
+        }
+    }
+
+    #[test]
+    fn groups_of_four_come_apart_in_one_order() {
+        groups_come_apart_in_one_order::<f32>();
+        groups_come_apart_in_one_order::<f64>();
     }
 
     #[test]

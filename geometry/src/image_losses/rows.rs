@@ -33,6 +33,13 @@ pub(super) fn row_mut<T>(buffer: &mut [T], index: usize, stride: usize) -> &mut 
     &mut buffer[index * stride..][..stride]
 }
 
+/// Group `index` of `N` consecutive rows.
+#[inline(always)]
+pub(super) fn rows_mut<T, const N: usize>(buffer: &mut [T], index: usize, stride: usize) -> [&mut [T]; N] {
+    let mut rows = buffer[index * N * stride..][..N * stride].chunks_exact_mut(stride);
+    std::array::from_fn(|_| rows.next().expect("N rows"))
+}
+
 /// The same number in every lane.
 #[inline(always)]
 pub(super) fn number<S: Simd, T: Scalar>(simd: S, x: f64) -> Wide<S, T> {

@@ -65,10 +65,19 @@ pub(super) fn add_row_pairs<S: Simd, T: Scalar>(
     mirror(products, width);
 }
 
+/// The registers from columns `j - 1`, `j` and `j + 1` on. One slice for all of them is one check of its bounds.
+#[inline(always)]
+fn neighbourhood<S: Simd, T: Scalar>(simd: S, row: &[T], j: usize) -> [Wide<S, T>; 3] {
+    let lanes = Wide::<S, T>::lanes();
+    let row = &row[j - 1..][..lanes + 2];
+    [Wide::load(simd, &row[..lanes]), Wide::load(simd, &row[1..lanes + 1]), Wide::load(simd, &row[2..])]
+}
+
 /// Sums over windows of three columns.
 #[inline(always)]
 fn across<S: Simd, T: Scalar>(simd: S, row: &[T], j: usize) -> Wide<S, T> {
-    Wide::load(simd, &row[j - 1..]) + Wide::load(simd, &row[j..]) + Wide::load(simd, &row[j + 1..])
+    let [left, middle, right] = neighbourhood(simd, row, j);
+    left + middle + right
 }
 
 /// Sums of one channel of a row of windows: of x, y, xx, yy, xy.
@@ -132,9 +141,8 @@ pub(super) fn error_row<S: Simd, T: Scalar>(
 #[inline(always)]
 pub(super) fn spread_row<S: Simd, T: Scalar>(simd: S, [partial, gradient]: [&[T]; 2], width: usize, out: &mut [T]) {
     for j in (PAD..PAD + width).step_by(Wide::<S, T>::lanes()) {
-        let left = Wide::load(simd, &partial[j - 1..]) * Wide::load(simd, &gradient[j - 1..]);
-        let middle = Wide::load(simd, &partial[j..]).mul_add(Wide::load(simd, &gradient[j..]), left);
-        Wide::load(simd, &partial[j + 1..]).mul_add(Wide::load(simd, &gradient[j + 1..]), middle).store(&mut out[j..]);
+        let ([p0, p1, p2], [g0, g1, g2]) = (neighbourhood(simd, partial, j), neighbourhood(simd, gradient, j));
+        p2.mul_add(g2, p1.mul_add(g1, p0 * g0)).store(&mut out[j..]);
     }
     let (first, last) = (PAD, PAD + width - 1);
     out[first + 1] += partial[first] * gradient[first];
@@ -171,11 +179,29 @@ impl<T: Scalar> Colours<'_, T> {
     /// The gradient of the error by the colours `x` in the register from column `j` on; `gradient` is that of the error there.
     #[inline(always)]
     pub fn gradient<S: Simd>(&self, simd: S, j: usize, weights: Weights<S, T>, gradient: Wide<S, T>) -> Wide<S, T> {
+        self.sum(simd, j, self.parts(simd, j, weights), weights.absolute * gradient)
+    }
+
+    /// As [`Colours::gradient`], and 0 where no gradient comes from any window, whatever the colours are.
+    #[inline(always)]
+    pub fn gradient_of_used<S: Simd>(&self, simd: S, j: usize, weights: Weights<S, T>, gradient: Wide<S, T>) -> Wide<S, T> {
+        let parts = self.parts(simd, j, weights);
+        let zero = gradient.like(T::ZERO);
+        let used = parts[0].abs() + parts[1].abs() + parts[2].abs() + gradient.abs();
+        // Written so that an incoming NaN passes.
+        let unused = used.less(gradient.like(T::ONE)) & !used.greater(zero);
+        unused.choose(zero, self.sum(simd, j, parts, weights.absolute * gradient))
+    }
+
+    /// Gradients of the windows' means of x, of half of xx and of xy.
+    #[inline(always)]
+    fn parts<S: Simd>(&self, simd: S, j: usize, weights: Weights<S, T>) -> [Wide<S, T>; 3] {
+        [column(simd, &self.by_x, j, weights), column(simd, &self.by_xx, j, weights), column(simd, &self.by_xy, j, weights)]
+    }
+
+    #[inline(always)]
+    fn sum<S: Simd>(&self, simd: S, j: usize, [a, b, c]: [Wide<S, T>; 3], absolute: Wide<S, T>) -> Wide<S, T> {
         let (x, y) = (Wide::load(simd, &self.x[j..]), Wide::load(simd, &self.y[j..]));
-        let a = column(simd, &self.by_x, j, weights);
-        let b = column(simd, &self.by_xx, j, weights);
-        let c = column(simd, &self.by_xy, j, weights);
-        let absolute = weights.absolute * gradient;
         let signed = x.greater(y).choose(absolute, x.less(y).choose(-absolute, x.like(T::ZERO)));
         c.mul_add(y, b.mul_add(x, a + signed))
     }

@@ -1,4 +1,5 @@
-//! The loss terms: one file each, value and gradient on the tape.
+//! The loss terms: one file each, value and gradient on the tape. Four terms of colours stand in
+//! [`dimode_geometry::image_losses`], next to the flow that they read.
 //!
 //! | module | what it asks for | source |
 //! |---|---|---|
@@ -6,6 +7,7 @@
 //! | [`photometric`] | the warped image looks like the target: dissimilarity and difference, fused | paper; Monodepth2 |
 //! | [`ssim`] | structural dissimilarity with any window | Wang et al. 2004 |
 //! | [`min_reprojection`] | the source that explains a pixel best counts, unless nothing moved | Monodepth2 |
+//! | [`fused_reprojection`] | the two above along the rigid flow, in one pass over the image | Monodepth2 |
 //! | [`multi_scale`] | total over several scales of disparity | Monodepth2 |
 //! | [`sc_depth_pair`], [`sc_sfm_pair`] | two views agree in colour and depth; both read a [`view_pair`] | sc_depth_pl; SC-SfMLearner-Release |
 //! | **Depth** | | |

@@ -8,9 +8,10 @@
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::{Scalar, Tensor, Var};
 use dimode_geometry::Intrinsics;
-use dimode_geometry::taped::{Divisor, Pose, back_project, project, rigid_flow, warp};
+use dimode_geometry::taped::{Divisor, Pose, back_project, project};
 
-use super::min_reprojection::{MinReprojection, min_reprojection};
+use super::fused_reprojection::{Combine, Frames, FusedReprojection, fused_reprojection};
+use super::min_reprojection::min_reprojection;
 use super::photometric::photometric;
 use super::smoothness::smoothness;
 use crate::model::DepthRange;
@@ -21,7 +22,7 @@ pub const SMOOTHNESS: f64 = 1e-3;
 /// How a source is read from a depth map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reprojection {
-    /// By [`rigid_flow()`]: points behind the camera do not move.
+    /// By [`rigid_flow()`](dimode_geometry::taped::rigid_flow()): points behind the camera do not move.
     #[default]
     RigidFlow,
     /// By division by `Z + 1e-7`, points behind the camera mirrored. For comparison with the public code.
@@ -82,10 +83,11 @@ pub fn multi_scale<'t, T: Scalar>(input: &MultiScale<'_, 't, T>) -> MultiScaleLo
     let (scales, sources) = (input.disparities.len(), input.sources.len());
     assert!(scales > 0 && input.targets.len() == scales, "multi_scale: {} targets for {scales} scales", input.targets.len());
     assert!(sources > 0 && input.motions.len() == sources, "multi_scale: {} motions, {sources} sources", input.motions.len());
+    let frames = input.frames();
     let terms: Vec<_> = (0..scales)
         .map(|s| {
-            let MinReprojection { error, share, .. } = input.error(s);
-            ScaleTerms { photo: error.mean(), smooth: smoothness(input.disparities[s], &input.targets[s]), share }
+            let FusedReprojection { mean, share } = input.error(s, frames.as_ref());
+            ScaleTerms { photo: mean, smooth: smoothness(input.disparities[s], &input.targets[s]), share }
         })
         .collect();
     let of_scale = |(s, term): (usize, &ScaleTerms<'t, T>)| {
@@ -97,35 +99,42 @@ pub fn multi_scale<'t, T: Scalar>(input: &MultiScale<'_, 't, T>) -> MultiScaleLo
 }
 
 impl<'t, T: Scalar> MultiScale<'_, 't, T> {
+    /// What reads the sources: prepared images, or nothing where they are read as coded.
+    #[track_caller]
+    fn frames(&self) -> Option<Frames<T>> {
+        let tape = self.disparities[0].tape();
+        let fused = self.reprojection == Reprojection::RigidFlow;
+        fused.then(|| Frames::new(tape, &self.targets[0], self.sources, self.identities, Combine::Minimum))
+    }
+
     /// The minimum reprojection error by the disparity of scale `s`.
     #[track_caller]
-    fn error(&self, s: usize) -> MinReprojection<'t, T> {
+    fn error(&self, s: usize, frames: Option<&Frames<T>>) -> FusedReprojection<'t, T> {
         let full = self.targets[0].shape();
-        let disparity = self.disparities[s];
-        let tape = disparity.tape();
-        let depth = self.range.depth(disparity.resize_bilinear(full.h(), full.w(), false));
-        let target = tape.constant(self.targets[0].clone());
-        let error = |(source, &motion): (&Tensor<T>, &Pose<'t, T>)| {
-            photometric(self.read(tape.constant(source.clone()), depth, motion), target)
-        };
-        let errors: Vec<_> = self.sources.iter().zip(self.motions).map(error).collect();
-        min_reprojection(&errors, self.identities)
+        let depth = self.range.depth(self.disparities[s].resize_bilinear(full.h(), full.w(), false));
+        match frames {
+            Some(frames) => {
+                let rotation = Var::concat(&self.motions.iter().map(|m| m.rotation).collect::<Vec<_>>(), 0);
+                let translation = Var::concat(&self.motions.iter().map(|m| m.translation).collect::<Vec<_>>(), 0);
+                let cameras = self.intrinsics.repeat(self.sources.len());
+                fused_reprojection(depth, Pose { rotation, translation }, &cameras, frames)
+            }
+            None => self.error_as_coded(depth),
+        }
     }
 
     #[track_caller]
-    fn read(&self, source: Var<'t, T>, depth: Var<'t, T>, motion: Pose<'t, T>) -> Var<'t, T> {
-        let Pose { rotation, translation } = motion;
-        match self.reprojection {
-            Reprojection::RigidFlow => {
-                let flow = rigid_flow(depth, rotation, translation, self.intrinsics);
-                warp(source, flow.slice(1, 0, 2), SamplePadding::Border)
-            }
-            Reprojection::AsCoded => {
-                let points = back_project(depth, self.intrinsics);
-                let seen = project(points, rotation, translation, self.intrinsics, Divisor::PlusGuard);
-                source.bilinear_sample(seen.pixels, SamplePadding::Border)
-            }
-        }
+    fn error_as_coded(&self, depth: Var<'t, T>) -> FusedReprojection<'t, T> {
+        let tape = depth.tape();
+        let target = tape.constant(self.targets[0].clone());
+        let points = back_project(depth, self.intrinsics);
+        let error = |(source, &Pose { rotation, translation }): (&Tensor<T>, &Pose<'t, T>)| {
+            let seen = project(points, rotation, translation, self.intrinsics, Divisor::PlusGuard);
+            photometric(tape.constant(source.clone()).bilinear_sample(seen.pixels, SamplePadding::Border), target)
+        };
+        let errors: Vec<_> = self.sources.iter().zip(self.motions).map(error).collect();
+        let best = min_reprojection(&errors, self.identities);
+        FusedReprojection { mean: best.error.mean(), share: best.share }
     }
 }
 

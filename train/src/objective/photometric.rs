@@ -8,10 +8,10 @@ use super::needs::Needs;
 use super::scene::{Scene, twice};
 use super::term::{Term, TermKind};
 use super::view_pairs;
-use crate::batch::join;
 use crate::config::{LossConfig, Photometric, StageConfig};
+use crate::losses::fused_reprojection::{Combine, Frames, FusedReprojection, fused_reprojection};
 use crate::losses::min_reprojection::{average_reprojection, min_reprojection};
-use crate::losses::photometric::{photometric, photometric_value};
+use crate::losses::photometric::photometric;
 
 pub(super) const KIND: TermKind = TermKind { needs, measure };
 
@@ -31,46 +31,73 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
 
 /// Minimum over the sources with auto-mask, mean over scales.
 fn minimum_reprojection<'l>(scene: &Scene<'_, 'l>) -> Term<'l> {
-    let (n, tape) = (scene.samples(), scene.tape());
-    let images = &scene.batch.plain;
-    let sources = scene.sources();
-    let target = join(&[&images.target, &images.target]);
-    let identities = if scene.loss.auto_mask { identities(scene, &sources.value(), &target) } else { Vec::new() };
-    let target = tape.constant(target);
+    let (tape, images) = (scene.tape(), &scene.batch.plain);
+    let combine = if scene.loss.average_sources { Combine::Average } else { Combine::Minimum };
+    let measure: Box<dyn Fn(Var<'l, f32>) -> FusedReprojection<'l, f32>> = match scene.leaves.rectified {
+        // Images without their rotation have gradients of their own.
+        Some(sources) => {
+            let (n, target) = (scene.samples(), tape.constant(images.target.clone()));
+            let parts = [sources.slice(0, 0, n), sources.slice(0, n, n)];
+            let identities = identities(scene, &parts.map(Var::value));
+            Box::new(move |depth| composed(scene, depth, parts, target, &identities))
+        }
+        None => {
+            let sources = [images.previous.clone(), images.next.clone()];
+            let frames = Frames::new(tape, &images.target, &sources, &identities(scene, &sources), combine);
+            Box::new(move |depth| fused_reprojection(depth, scene.motion(), &scene.cameras, &frames))
+        }
+    };
+    let size = images.target.shape();
+    let scales = scene.leaves.disparities.len();
     let mut total = None;
     let mut valid = 0.0;
-    let scales = scene.leaves.disparities.len();
-    for (scale, &disparity) in scene.leaves.disparities.iter().enumerate() {
-        let rigid = if scale == 0 { scene.rigid() } else { rigid_at(scene, disparity) };
-        let error = photometric(taped::warp(sources, rigid.slice(1, 0, 2), SamplePadding::Border), target);
-        let of_sources = [error.slice(0, 0, n), error.slice(0, n, n)];
-        let best = if scene.loss.average_sources { average_reprojection } else { min_reprojection }(&of_sources, &identities);
-        valid += best.share / scales as f64;
-        let mean = best.error.mean().scale(1.0 / scales as f64);
+    for &disparity in &scene.leaves.disparities {
+        // Coarser disparities are resized to the full size.
+        let full = (disparity.shape().h(), disparity.shape().w()) == (size.h(), size.w());
+        let whole = if full { disparity } else { disparity.resize_bilinear(size.h(), size.w(), false) };
+        let FusedReprojection { mean, share } = measure(scene.range.depth(whole));
+        valid += share / scales as f64;
+        let mean = mean.scale(1.0 / scales as f64);
         total = Some(total.map_or(mean, |t: Var<'l, f32>| t.add(mean)));
     }
     Term::new("l_pho", scene.loss.photometric_weight, total.expect("at least one scale"), valid)
 }
 
-/// Errors of the unwarped sources with a little noise that breaks ties, one map for each source.
-fn identities(scene: &Scene<'_, '_>, sources: &Tensor<f32>, target: &Tensor<f32>) -> Vec<Tensor<f32>> {
-    let error = photometric_value(sources, target);
-    let noise = rng::uniform::<f32>(scene.seed, error.shape(), 0.0, 2e-5);
-    let half = error.shape().len() / 2;
-    let mut shape = error.shape();
-    shape.0[0] /= 2;
-    [0, half]
-        .map(|at| {
-            let pairs = error.data()[at..at + half].iter().zip(&noise.data()[at..at + half]);
-            Tensor::from_vec(shape, pairs.map(|(e, n)| e + n).collect())
-        })
-        .to_vec()
+/// The same as [`fused_reprojection`], operation by operation, with gradients to the sources.
+fn composed<'l>(
+    scene: &Scene<'_, 'l>,
+    depth: Var<'l, f32>,
+    sources: [Var<'l, f32>; 2],
+    target: Var<'l, f32>,
+    identities: &[Tensor<f32>],
+) -> FusedReprojection<'l, f32> {
+    let (n, Pose { rotation, translation }) = (scene.samples(), scene.motion());
+    let flow = taped::rigid_flow(twice(depth), rotation, translation, &scene.cameras);
+    let error = |k: usize| {
+        let flow = flow.slice(0, k * n, n).slice(1, 0, 2);
+        photometric(taped::warp(sources[k], flow, SamplePadding::Border), target)
+    };
+    let best = if scene.loss.average_sources { average_reprojection } else { min_reprojection };
+    let best = best(&[error(0), error(1)], identities);
+    FusedReprojection { mean: best.error.mean(), share: best.share }
 }
 
-/// Rigid flow by a coarser disparity, resized to the full size.
-fn rigid_at<'l>(scene: &Scene<'_, 'l>, disparity: Var<'l, f32>) -> Var<'l, f32> {
-    let s = scene.depth.shape();
-    let Pose { rotation, translation } = scene.motion();
-    let depth = twice(scene.range.depth(disparity.resize_bilinear(s.h(), s.w(), false)));
-    taped::rigid_flow(depth, rotation, translation, &scene.cameras)
+/// Errors of the unwarped sources with a little noise that breaks ties, one map for each source; none without auto-mask.
+fn identities(scene: &Scene<'_, '_>, sources: &[Tensor<f32>; 2]) -> Vec<Tensor<f32>> {
+    if !scene.loss.auto_mask {
+        return Vec::new();
+    }
+    let tape = scene.tape();
+    let target = tape.constant(scene.batch.plain.target.clone());
+    let errors = sources.each_ref().map(|source| photometric(tape.constant(source.clone()), target).value());
+    let mut shape = errors[0].shape();
+    let len = shape.len();
+    shape.0[0] *= sources.len();
+    let noise = rng::uniform::<f32>(scene.seed, shape, 0.0, 2e-5);
+    let with_noise = |(error, noise): (&Tensor<f32>, &[f32])| {
+        let mut out = tape.scratch(len);
+        out.iter_mut().zip(error.data().iter().zip(noise)).for_each(|(o, (e, n))| *o = e + n);
+        tape.tensor(error.shape(), out)
+    };
+    errors.iter().zip(noise.data().chunks_exact(len)).map(with_noise).collect()
 }

@@ -6,7 +6,7 @@ use super::needs::{Needs, SourceDepth};
 use super::scene::Scene;
 use super::term::{Term, TermKind};
 use crate::config::{LossConfig, Photometric, SmoothnessOf, StageConfig};
-use crate::losses::smoothness::{edge_aware, mean_normalised};
+use crate::losses::smoothness::normalised_edge_aware;
 use crate::losses::view_pair::COLOURS;
 
 pub(super) const KIND: TermKind = TermKind { needs, measure };
@@ -46,7 +46,7 @@ fn of_scales<'l>(scene: &Scene<'_, 'l>, disparities: &[Var<'l, f32>], images: &T
             SmoothnessOf::Disparity => disparity,
             SmoothnessOf::Depth => scene.range.depth(disparity),
         };
-        edge_aware(mean_normalised(map), &image, edge).scale(1.0 / (scales << scale) as f64)
+        normalised_edge_aware(map, &image, edge).scale(1.0 / (scales << scale) as f64)
     });
     parts.reduce(|a, b| a.add(b)).expect("at least one scale")
 }

@@ -6,13 +6,13 @@
 use std::ops::Range;
 
 use dimode_autodiff::Scalar;
-use dimode_autodiff::simd::Wide;
+use dimode_autodiff::simd::{Truths, Wide};
 use pulp::{Simd, WithSimd};
 
 use super::super::photometric::SHIFT;
-use super::super::rows::{CHUNK, PAD, RING, clear_sides, cut, get, number, put, row, row_mut, stride};
+use super::super::rows::{CHUNK, PAD, RING, clear_sides, cut, get, number, put, row, row_mut, rows_mut, stride};
 use super::super::similarity::{Colours, Sums, Weights, add_row_pairs, add_rows, error_row, neighbours, spread_row};
-use super::warp_rows::{MotionRow, WarpRow, WarpedRow, turn};
+use super::warp_rows::{MotionRow, WarpRow, WarpedRow, slots, turn};
 use super::{CHANNELS, Combine, PIXEL};
 use crate::taped::bands::Motion;
 
@@ -103,11 +103,11 @@ fn ring_of(k: usize, row: usize, c: usize) -> usize {
     ring(k, row) * CHANNELS + c
 }
 
-/// Group `index` of `N` consecutive rows.
+/// Where `error` is less than the best so far, or NaN: a NaN wins, so that it is seen.
 #[inline(always)]
-fn rows_mut<T, const N: usize>(buffer: &mut [T], index: usize, stride: usize) -> [&mut [T]; N] {
-    let mut rows = buffer[index * N * stride..][..N * stride].chunks_exact_mut(stride);
-    std::array::from_fn(|_| rows.next().expect("N rows"))
+fn wins<S: Simd, T: Scalar>(error: Wide<S, T>, best: Wide<S, T>) -> Truths<S, T> {
+    let zero = error.like(T::ZERO);
+    error.less(best) | !(error.less(error.like(T::ONE)) | error.greater(zero))
 }
 
 /// The task of one band.
@@ -123,7 +123,7 @@ pub(super) struct Band<'a, T: Scalar> {
     pub depth: &'a [T],
     pub target: [&'a [T]; CHANNELS],
     pub sources: &'a [&'a [[T; PIXEL]]],
-    pub still: Option<&'a [T]>,
+    pub identities: &'a [&'a [T]],
     pub work: &'a mut [T],
     /// Gradient of the depth, rows of the band.
     pub slope: &'a mut [T],
@@ -146,8 +146,9 @@ impl<T: Scalar> WithSimd for Band<'_, T> {
         let wanted = self.wanted;
         let errors = start.saturating_sub(halo)..(end + halo).min(h);
         let colours = errors.start.saturating_sub(1)..(errors.end + 1).min(h);
+        let slots = slots::<S, T>(simd);
         for r in colours {
-            self.read_row(simd, &mut work, r);
+            self.read_row(simd, &mut work, &slots, r);
             // The last row of the image has no row below that it must wait for.
             for q in (r.saturating_sub(1)..if r + 1 == h { h } else { r }).filter(|q| errors.contains(q)) {
                 self.error_rows(simd, &mut work, q);
@@ -165,7 +166,7 @@ impl<T: Scalar> WithSimd for Band<'_, T> {
 impl<T: Scalar> Band<'_, T> {
     /// Colours of row `r`, of the target and of every warped source.
     #[inline(always)]
-    fn read_row<S: Simd>(&self, simd: S, work: &mut Work<'_, T>, r: usize) {
+    fn read_row<S: Simd>(&self, simd: S, work: &mut Work<'_, T>, slots: &[u8; CHUNK], r: usize) {
         let Sizes { h, w, k } = self.sizes;
         let stride = work.stride;
         let shift = Wide::splat(simd, T::from_f64(SHIFT));
@@ -189,6 +190,7 @@ impl<T: Scalar> Band<'_, T> {
                 width: w,
                 depth: &self.depth[r * w..][..w],
                 image: self.sources[k],
+                slots,
             };
             task.run(simd, &mut out);
         }
@@ -239,10 +241,7 @@ impl<T: Scalar> Band<'_, T> {
         let (mut errors, mut won) = (zero, zero);
         for j in (0..w).step_by(Wide::<S, T>::lanes()) {
             let seen = Wide::load(simd, &self.columns[j..]).less(width);
-            let mut best = match self.still {
-                Some(still) => get(simd, &still[q * w..][..w], j),
-                None => number(simd, f64::INFINITY),
-            };
+            let mut best = self.identity(simd, q * w..(q + 1) * w, j);
             let mut any = zero;
             if self.combine == Combine::Average {
                 let mut mean = zero;
@@ -250,7 +249,7 @@ impl<T: Scalar> Band<'_, T> {
                     mean = mean + Wide::load(simd, &row(work.error, k, stride)[PAD + j..]);
                 }
                 let mean = mean * share;
-                let wins = (mean.less(best) | !(mean.less(one) | mean.greater(zero))) & seen;
+                let wins = wins(mean, best) & seen;
                 best = wins.choose(mean, best);
                 any = wins.choose(one, zero);
                 for k in 0..sources {
@@ -259,8 +258,7 @@ impl<T: Scalar> Band<'_, T> {
             } else {
                 for k in 0..sources {
                     let error = Wide::load(simd, &row(work.error, k, stride)[PAD + j..]);
-                    // A NaN wins, and is seen.
-                    let wins = (error.less(best) | !(error.less(one) | error.greater(zero))) & seen;
+                    let wins = wins(error, best) & seen;
                     best = wins.choose(error, best);
                     any = wins.choose(one, any);
                     wins.choose(one, zero).store(&mut row_mut(work.winner, ring(k, q), stride)[PAD + j..]);
@@ -276,6 +274,26 @@ impl<T: Scalar> Band<'_, T> {
         if self.rows.contains(&q) {
             self.sums.error += errors.sum().to_f64();
             self.sums.won += won.sum().to_f64();
+        }
+    }
+
+    /// What a warped source must undercut, in the register from column `j` on.
+    #[inline(always)]
+    fn identity<S: Simd>(&self, simd: S, row: Range<usize>, j: usize) -> Wide<S, T> {
+        let Some((first, others)) = self.identities.split_first() else {
+            return number(simd, f64::INFINITY);
+        };
+        let mut best = get(simd, &first[row.clone()], j);
+        for map in others {
+            let error = get(simd, &map[row.clone()], j);
+            best = match self.combine {
+                Combine::Minimum => wins(error, best).choose(error, best),
+                Combine::Average => best + error,
+            };
+        }
+        match self.combine {
+            Combine::Minimum => best,
+            Combine::Average => best * number(simd, 1.0 / self.identities.len() as f64),
         }
     }
 

@@ -33,6 +33,8 @@ use band::{Band, BandSums, Sizes};
 
 /// Rows of a band: the unit of parallel work, independent of the number of threads.
 const ROWS: usize = 32;
+/// Rows that are packed together.
+const PACKED_ROWS: usize = 16;
 /// Colours of an image.
 const CHANNELS: usize = 3;
 /// Colours of a pixel and one more, so that a pixel is one small register.
@@ -54,40 +56,39 @@ pub struct Frames<T: Scalar> {
     target: Tensor<T>,
     /// Pixel by pixel, `[k n, h, w, 4]`.
     sources: Tensor<T>,
-    /// What a warped source must undercut, `[n, 1, h, w]`.
-    still: Option<Tensor<T>>,
+    /// Errors of sources that did not move, `[n, 1, h, w]`.
+    identities: Vec<Tensor<T>>,
     combine: Combine,
 }
 
 impl<T: Scalar> Frames<T> {
     /// Prepares images; the buffers come from the pool of `tape`.
     ///
-    /// **Shapes**: `target` (N,3,H,W); `sources` (kN,3,H,W), all samples of the first source first; `identities`, errors of
-    /// sources that did not move, (N,1,H,W), empty: no auto-mask. Images are data and get no gradient.
-    /// **Panics** when shapes do not fit or a side is shorter than 2 pixels.
+    /// **Shapes**: `target` and each of the k `sources` (N,3,H,W), colours in [0, 1]; `identities`, errors of sources that did not
+    /// move, (N,1,H,W), empty: no auto-mask. Images are data and get no gradient.
+    /// **Panics** when there is no source, shapes do not fit or a side is shorter than 2 pixels.
     #[track_caller]
-    pub fn new(tape: &Tape<T>, target: &Tensor<T>, sources: &Tensor<T>, identities: &[Tensor<T>], combine: Combine) -> Self {
-        let (s, of) = (target.shape(), sources.shape());
-        assert!(
-            s.c() == CHANNELS && of == Shape::new(of.n() / s.n() * s.n(), s.c(), s.h(), s.w()),
-            "Frames: target (N, 3, H, W) and sources (kN, 3, H, W), got {s} and {of}"
-        );
+    pub fn new(tape: &Tape<T>, target: &Tensor<T>, sources: &[Tensor<T>], identities: &[Tensor<T>], combine: Combine) -> Self {
+        let s = target.shape();
+        assert!(s.c() == CHANNELS && !sources.is_empty(), "Frames: a target (N, 3, H, W) and sources are needed, got {s}");
+        for source in sources {
+            assert!(source.shape() == s, "Frames: target {s} and source {} must have equal shapes", source.shape());
+        }
         assert!(s.h() >= 2 && s.w() >= 2, "Frames: mirrored borders need at least 2 x 2 pixels, got {s}");
         for map in identities {
             assert!(map.shape() == s.with_c(1), "Frames: errors have shape {}, got {}", s.with_c(1), map.shape());
         }
-        let mut packed = tape.scratch(of.n() * of.plane() * PIXEL);
-        par::for_each_chunk(&mut packed, of.w() * PIXEL, |row, out| {
-            let (n, v) = (row / of.h(), row % of.h());
-            pack(std::array::from_fn(|c| &sources.plane(n, c)[v * of.w()..][..of.w()]), out);
+        let (h, w) = (s.h(), s.w());
+        let mut packed = tape.scratch(sources.len() * s.n() * s.plane() * PIXEL);
+        par::for_each_chunk(&mut packed, PACKED_ROWS * w * PIXEL, |i, out| {
+            for (row, out) in (i * PACKED_ROWS..).zip(out.chunks_exact_mut(w * PIXEL)) {
+                let (image, v) = (row / h, row % h);
+                let (k, n) = (image / s.n(), image % s.n());
+                pack(std::array::from_fn(|c| &sources[k].plane(n, c)[v * w..][..w]), out);
+            }
         });
-        let still = (!identities.is_empty()).then(|| {
-            let mut out = tape.scratch(s.n() * s.plane());
-            best_identity(identities, combine, &mut out);
-            tape.tensor(s.with_c(1), out)
-        });
-        let sources = tape.tensor(Shape::new(of.n(), of.h(), of.w(), PIXEL), packed);
-        Frames { target: target.clone(), sources, still, combine }
+        let sources = tape.tensor(Shape::new(sources.len() * s.n(), h, w, PIXEL), packed);
+        Frames { target: target.clone(), sources, identities: identities.to_vec(), combine }
     }
 
     /// Number of sources of a sample.
@@ -100,24 +101,6 @@ impl<T: Scalar> Frames<T> {
 fn pack<T: Scalar>([r, g, b]: [&[T]; CHANNELS], out: &mut [T]) {
     for (pixel, ((&r, &g), &b)) in out.as_chunks_mut::<PIXEL>().0.iter_mut().zip(r.iter().zip(g).zip(b)) {
         *pixel = [r, g, b, T::ZERO];
-    }
-}
-
-/// The least or the mean of error maps. A NaN is kept, so that it is seen.
-fn best_identity<T: Scalar>(maps: &[Tensor<T>], combine: Combine, out: &mut [T]) {
-    out.copy_from_slice(maps[0].data());
-    for map in &maps[1..] {
-        for (e, &m) in out.iter_mut().zip(map.data()) {
-            match combine {
-                Combine::Minimum if m < *e || m.is_nan() => *e = m,
-                Combine::Minimum => {}
-                Combine::Average => *e += m,
-            }
-        }
-    }
-    if combine == Combine::Average {
-        let share = T::from_f64(1.0 / maps.len() as f64);
-        out.iter_mut().for_each(|e| *e *= share);
     }
 }
 
@@ -222,7 +205,7 @@ fn run<T: Scalar>(
             depth: depth.plane(sample, 0),
             target: std::array::from_fn(|c| frames.target.plane(sample, c)),
             sources: &(0..k).map(|j| packed(&frames.sources, of_sources(j))).collect::<Vec<_>>(),
-            still: frames.still.as_ref().map(|map| map.plane(sample, 0)),
+            identities: &frames.identities.iter().map(|map| map.plane(sample, 0)).collect::<Vec<_>>(),
             work: &mut work,
             slope,
             sums,

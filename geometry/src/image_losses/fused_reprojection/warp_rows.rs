@@ -21,6 +21,7 @@ pub(super) struct WarpRow<'a, T> {
     pub width: usize,
     pub depth: &'a [T],
     pub image: &'a [[T; PIXEL]],
+    pub slots: &'a [u8; CHUNK],
 }
 
 /// Scratch rows of a warped row.
@@ -41,36 +42,50 @@ pub(super) struct MotionRow<R> {
     pub flow: [R; 2],
 }
 
-/// Coordinates of a chunk, first as such, then as parts of a cell.
+/// Coordinates of a chunk, held at the border: the first pixel of their cell and the parts beyond it.
 struct Chunk<T> {
+    column: [T; CHUNK],
+    row: [T; CHUNK],
     u: [T; CHUNK],
     v: [T; CHUNK],
-    cell: [u32; CHUNK],
 }
 
-/// Colours of a chunk and their slopes by u and v, pixel by pixel.
+/// Colours of a chunk and their slopes by u and v, pixel by pixel, in the order of [`slots`].
 struct Tile<T> {
     colours: [[T; PIXEL]; CHUNK],
     by_u: [[T; PIXEL]; CHUNK],
     by_v: [[T; PIXEL]; CHUNK],
 }
 
+/// Where a tile has the pixels of a chunk, so that they come apart in order.
+#[inline(always)]
+pub(super) fn slots<S: Simd, T: Scalar>(simd: S) -> [u8; CHUNK] {
+    let lanes = Wide::<S, T>::lanes();
+    let groups: [[T; PIXEL]; CHUNK] = std::array::from_fn(|i| [T::from_usize(i); PIXEL]);
+    let mut order = [T::ZERO; CHUNK];
+    for j in (0..CHUNK).step_by(lanes) {
+        Wide::apart(simd, &groups[j..])[0].store(&mut order[j..]);
+    }
+    order.map(|slot| slot.to_f64() as u8)
+}
+
 impl<T: Scalar> WarpRow<'_, T> {
     #[inline(always)]
     pub fn run<S: Simd>(&self, simd: S, out: &mut WarpedRow<'_, T>) {
-        let mut chunk = Chunk { u: [T::ZERO; CHUNK], v: [T::ZERO; CHUNK], cell: [0; CHUNK] };
+        let zeros = [T::ZERO; CHUNK];
+        let mut chunk = Chunk { column: zeros, row: zeros, u: zeros, v: zeros };
         let pixels = [[T::ZERO; PIXEL]; CHUNK];
         let mut tile = Tile { colours: pixels, by_u: pixels, by_v: pixels };
         for start in (0..self.width).step_by(CHUNK) {
             for j in (0..CHUNK).step_by(Wide::<S, T>::lanes()) {
                 self.coordinates(simd, start, j, &mut chunk, &mut out.motion);
             }
-            self.cells(&mut chunk);
             self.read(&chunk, &mut tile);
-            for c in 0..CHANNELS {
-                unpack(&tile.colours, c, &mut out.colours[c][PAD + start..]);
-                unpack(&tile.by_u, c, &mut out.by_u[c][PAD + start..]);
-                unpack(&tile.by_v, c, &mut out.by_v[c][PAD + start..]);
+            for j in (0..CHUNK).step_by(Wide::<S, T>::lanes()) {
+                let at = PAD + start + j;
+                unpack(simd, &tile.colours[j..], &mut out.colours, at);
+                unpack(simd, &tile.by_u[j..], &mut out.by_u, at);
+                unpack(simd, &tile.by_v[j..], &mut out.by_v, at);
             }
         }
     }
@@ -98,8 +113,13 @@ impl<T: Scalar> WarpRow<'_, T> {
         // Only a NaN is neither below 1 nor above 0. It must show in the colours.
         let good = (u.less(one) | u.greater(zero)) & (v.less(one) | v.greater(zero));
         let nan = number(simd, f64::NAN);
-        good.choose(u.max(zero).min(right), nan).store(&mut chunk.u[j..]);
-        good.choose(v.max(zero).min(bottom), nan).store(&mut chunk.v[j..]);
+        let (held_u, held_v) = (u.max(zero).min(right), v.max(zero).min(bottom));
+        // The last pixel belongs to the cell before it.
+        let (cell_u, cell_v) = (floor(held_u).min(right - one), floor(held_v).min(bottom - one));
+        cell_u.store(&mut chunk.column[j..]);
+        cell_v.store(&mut chunk.row[j..]);
+        good.choose(held_u - cell_u, nan).store(&mut chunk.u[j..]);
+        good.choose(held_v - cell_v, nan).store(&mut chunk.v[j..]);
         let movable = good & before & column.less(number(simd, self.width as f64));
         let free_u = movable & u.greater(zero) & u.less(right);
         let free_v = movable & v.greater(zero) & v.less(bottom);
@@ -109,36 +129,49 @@ impl<T: Scalar> WarpRow<'_, T> {
         free_v.choose(q, zero).store(&mut out.flow[1][PAD + at..]);
     }
 
-    /// Splits coordinates into the first pixel of their cell and the parts beyond it.
-    #[inline(always)]
-    fn cells(&self, chunk: &mut Chunk<T>) {
-        // The last pixel belongs to the cell before it.
-        let (right, bottom) = (self.width as i32 - 2, self.height as i32 - 2);
-        for ((u, v), cell) in chunk.u.iter_mut().zip(&mut chunk.v).zip(&mut chunk.cell) {
-            let (i, j) = ((u.to_f64() as i32).min(right), (v.to_f64() as i32).min(bottom));
-            *u = *u - T::from_f64(f64::from(i));
-            *v = *v - T::from_f64(f64::from(j));
-            *cell = (j * self.width as i32 + i) as u32;
-        }
-    }
-
     /// Blends the four pixels of each cell; all colours of a pixel at once.
     #[inline(always)]
     fn read(&self, chunk: &Chunk<T>, tile: &mut Tile<T>) {
+        let mut cells = [0_u32; CHUNK];
+        for ((cell, &column), &row) in cells.iter_mut().zip(&chunk.column).zip(&chunk.row) {
+            // The low bits of the sum are the number itself; a conversion that minds every case would not become vector code.
+            let number = row.to_f64() * self.width as f64 + column.to_f64();
+            *cell = (number + WHOLE).to_bits() as u32;
+        }
         let shift = T::from_f64(SHIFT);
         for k in 0..CHUNK {
-            let (cell, a, b) = (chunk.cell[k] as usize, chunk.u[k], chunk.v[k]);
+            let (a, b) = (chunk.u[k], chunk.v[k]);
             let (left, above) = (T::ONE - a, T::ONE - b);
-            let [p, q] = [self.image[cell], self.image[cell + 1]];
-            let [r, s] = [self.image[cell + self.width], self.image[cell + self.width + 1]];
+            let pixels = &self.image[cells[k] as usize..][..self.width + 2];
+            let [up, down] = [[pixels[0], pixels[1]], [pixels[self.width], pixels[self.width + 1]]];
+            let (mut between, mut slope) = ([[T::ZERO; PIXEL]; 2], [[T::ZERO; PIXEL]; 2]);
+            for i in 0..2 {
+                for c in 0..PIXEL {
+                    between[i][c] = b.mul_add(down[i][c], above * up[i][c]);
+                    slope[i][c] = down[i][c] - up[i][c];
+                }
+            }
+            let slot = usize::from(self.slots[k]) % CHUNK;
+            let (colours, by_u, by_v) = (&mut tile.colours[slot], &mut tile.by_u[slot], &mut tile.by_v[slot]);
             for c in 0..PIXEL {
-                let (up, down) = (left * p[c] + a * q[c], left * r[c] + a * s[c]);
-                tile.colours[k][c] = (above * up + b * down) - shift;
-                tile.by_u[k][c] = above * (q[c] - p[c]) + b * (s[c] - r[c]);
-                tile.by_v[k][c] = down - up;
+                colours[c] = a.mul_add(between[1][c], left * between[0][c]) - shift;
+                by_u[c] = between[1][c] - between[0][c];
+                by_v[c] = a.mul_add(slope[1][c], left * slope[0][c]);
             }
         }
     }
+}
+
+/// 2^52: from here on numbers of 64 bits are whole.
+const WHOLE: f64 = 4_503_599_627_370_496.0;
+
+/// The largest whole numbers not above `x`, which lie between 0 and 2^22.
+#[inline(always)]
+fn floor<S: Simd, T: Scalar>(x: Wide<S, T>) -> Wide<S, T> {
+    // From this number on the spacing is 1.
+    let rounding = x.like(T::ONE / T::EPSILON);
+    let nearest = (x + rounding) - rounding;
+    nearest.greater(x).choose(nearest - x.like(T::ONE), nearest)
 }
 
 /// Row `i` of `R - I` times the viewing rays `(x, y, 1)`.
@@ -147,10 +180,11 @@ pub(super) fn turn<S: Simd, T: Scalar>(simd: S, m: &Motion<T>, i: usize, x: Wide
     Wide::splat(simd, m.e[i][0]).mul_add(x, Wide::splat(simd, m.e[i][1] * y + m.e[i][2]))
 }
 
-/// Takes one colour of every pixel.
+/// Takes the colours of a register of pixels apart.
 #[inline(always)]
-fn unpack<T: Scalar>(pixels: &[[T; PIXEL]; CHUNK], c: usize, out: &mut [T]) {
-    for (out, pixel) in out[..CHUNK].iter_mut().zip(pixels) {
-        *out = pixel[c];
-    }
+fn unpack<S: Simd, T: Scalar>(simd: S, pixels: &[[T; PIXEL]], out: &mut [&mut [T]; CHANNELS], at: usize) {
+    let [red, green, blue, _] = Wide::apart(simd, pixels);
+    red.store(&mut out[0][at..]);
+    green.store(&mut out[1][at..]);
+    blue.store(&mut out[2][at..]);
 }

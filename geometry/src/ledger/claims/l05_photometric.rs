@@ -16,7 +16,7 @@ pub(super) static CLAIM: Claim = Claim {
     formula: "SSIM = (2 m_x m_y + C_1) (2 s_xy + C_2) / [(m_x^2 + m_y^2 + C_1) (s_x^2 + s_y^2 + C_2)]",
     derivation: "A definition. 2 m_x m_y <= m_x^2 + m_y^2 and 2 |s_xy| <= s_x^2 + s_y^2, so SSIM lies in [-1, 1] and the first \
                  factor in [0, 1]; in floating point it can leave that interval by rounding. For equal windows the loss is 0. \
-                 Training computes it in train/src/losses/photometric.rs.",
+                 Training computes it in geometry/src/image_losses/photometric.rs.",
     counter_example: None,
     correction: None,
     functions: &[
