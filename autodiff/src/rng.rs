@@ -23,9 +23,20 @@ const OFFSET: u64 = 0x5851_f42d_4c95_7f2d;
 ///
 /// **References**: Steele, Lea, Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
 pub fn uniform<T: Scalar>(seed: u64, shape: Shape, lo: f64, hi: f64) -> Tensor<T> {
+    Tensor::from_vec(shape, (0..shape.len()).map(|i| uniform_at(seed, i as u64, lo, hi)).collect())
+}
+
+/// Entry `index` of [`uniform`], for loops that need no tensor of them.
+///
+/// ```
+/// use dimode_autodiff::{Shape, rng};
+/// let x = rng::uniform::<f32>(1, Shape::new(2, 3, 4, 5), -1.0, 1.0);
+/// assert_eq!(x.data()[7], rng::uniform_at(1, 7, -1.0, 1.0));
+/// ```
+#[must_use]
+pub fn uniform_at<T: Scalar>(seed: u64, index: u64, lo: f64, hi: f64) -> T {
     let start = seed.wrapping_mul(GOLDEN) ^ OFFSET;
-    let value = |i| T::from_f64(lo + (hi - lo) * unit(start, i as u64));
-    Tensor::from_vec(shape, (0..shape.len()).map(value).collect())
+    T::from_f64(lo + (hi - lo) * unit(start, index))
 }
 
 /// Output `index` (from 0) of the SplitMix64 sequence that starts at `state`.

@@ -33,7 +33,7 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
     let rotational = cut(rotational_flow(scene)).value();
     let inputs = ContextualInputs {
         flow: cut(scene.flow().forward),
-        depth: cut(scene.depth),
+        depth: cut(scene.depth()),
         rotation: cut(scene.motion().rotation),
         translation: cut(scene.motion().translation),
         rotational: &rotational,
@@ -67,7 +67,7 @@ fn chosen_samples(scene: &Scene<'_, '_>) -> (usize, usize) {
 /// The flow of the rotation alone, `[2 n, 2, h, w]`, without gradient: any depth draws it.
 fn rotational_flow<'l>(scene: &Scene<'_, 'l>) -> Var<'l, f32> {
     let (tape, motion) = (scene.tape(), scene.motion());
-    let depth = tape.constant(Tensor::full(scene.depth.shape(), 1.0));
+    let depth = tape.constant(Tensor::full(scene.depth().shape(), 1.0));
     let still = tape.constant(Tensor::zeros(motion.translation.shape()));
     rigid_flow(depth, motion.rotation.detach(), still, &scene.cameras).slice(1, 0, 2)
 }

@@ -31,7 +31,7 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
     let (rigid, flow, motion) = (scene.rigid_flow().value(), scene.flow().forward, scene.motion());
     let mask = chosen_sources(scene, options.static_mask.among(scene.trusted(), &rigid, &flow.value()));
     let inputs = geometric::PairInputs {
-        target_depth: scene.depth,
+        target_depth: scene.depth(),
         source_depth: scene.source_depth(),
         flow,
         rotation: motion.rotation,

@@ -31,7 +31,7 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
     if lambda3 == 0.0 {
         return Vec::new();
     }
-    let depth = scene.range.depth(scene.leaves.disparities[0]);
+    let depth = scene.target_depth();
     let Some(pseudo) = pseudo_depth(scene, depth) else { return Vec::new() };
     let (images, cameras) = (&scene.batch.plain.target, &scene.batch.intrinsics);
     let seed = |k| rng::splitmix64(scene.seed ^ PAIRS, k);

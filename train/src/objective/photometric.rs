@@ -1,7 +1,7 @@
 //! `l_pho`: how well the warped sources look like the target, in the form that `loss.photometric` names.
 
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
-use dimode_autodiff::{Tensor, Var, rng};
+use dimode_autodiff::{Tensor, Var, par, rng};
 use dimode_geometry::taped::{self, Pose};
 
 use super::needs::Needs;
@@ -47,15 +47,16 @@ fn minimum_reprojection<'l>(scene: &Scene<'_, 'l>) -> Term<'l> {
             Box::new(move |depth| fused_reprojection(depth, scene.motion(), &scene.cameras, &frames))
         }
     };
-    let size = images.target.shape();
+    let size = scene.target_depth().shape();
     let scales = scene.leaves.disparities.len();
     let mut total = None;
     let mut valid = 0.0;
-    for &disparity in &scene.leaves.disparities {
-        // Coarser disparities are resized to the full size.
-        let full = (disparity.shape().h(), disparity.shape().w()) == (size.h(), size.w());
-        let whole = if full { disparity } else { disparity.resize_bilinear(size.h(), size.w(), false) };
-        let FusedReprojection { mean, share } = measure(scene.range.depth(whole));
+    for (scale, &disparity) in scene.leaves.disparities.iter().enumerate() {
+        let depth = match scale {
+            0 => scene.target_depth(),
+            _ => scene.range.depth(disparity.resize_bilinear(size.h(), size.w(), false)),
+        };
+        let FusedReprojection { mean, share } = measure(depth);
         valid += share / scales as f64;
         let mean = mean.scale(1.0 / scales as f64);
         total = Some(total.map_or(mean, |t: Var<'l, f32>| t.add(mean)));
@@ -87,17 +88,19 @@ fn identities(scene: &Scene<'_, '_>, sources: &[Tensor<f32>; 2]) -> Vec<Tensor<f
     if !scene.loss.auto_mask {
         return Vec::new();
     }
-    let tape = scene.tape();
+    let (tape, seed) = (scene.tape(), scene.seed);
     let target = tape.constant(scene.batch.plain.target.clone());
     let errors = sources.each_ref().map(|source| photometric(tape.constant(source.clone()), target).value());
-    let mut shape = errors[0].shape();
-    let len = shape.len();
-    shape.0[0] *= sources.len();
-    let noise = rng::uniform::<f32>(scene.seed, shape, 0.0, 2e-5);
-    let with_noise = |(error, noise): (&Tensor<f32>, &[f32])| {
+    let with_noise = |(k, error): (usize, &Tensor<f32>)| {
+        let len = error.shape().len();
         let mut out = tape.scratch(len);
-        out.iter_mut().zip(error.data().iter().zip(noise)).for_each(|(o, (e, n))| *o = e + n);
+        par::for_each_chunk(&mut out, par::CHUNK, |i, out| {
+            let first = i * par::CHUNK;
+            for ((j, o), e) in (k * len + first..).zip(out.iter_mut()).zip(&error.data()[first..]) {
+                *o = e + rng::uniform_at::<f32>(seed, j as u64, 0.0, 2e-5);
+            }
+        });
         tape.tensor(error.shape(), out)
     };
-    errors.iter().zip(noise.data().chunks_exact(len)).map(with_noise).collect()
+    errors.iter().enumerate().map(with_noise).collect()
 }

@@ -28,8 +28,8 @@ pub(super) struct Scene<'a, 'l> {
     pub seed: u64,
     /// Cameras of the stacked samples.
     pub cameras: Vec<Intrinsics>,
-    /// Depth of the target at full size, once for each source, `[2 n, 1, h, w]`.
-    pub depth: Var<'l, f32>,
+    target_depth: OnceCell<Var<'l, f32>>,
+    depth: OnceCell<Var<'l, f32>>,
     rigid: OnceCell<Var<'l, f32>>,
     source_depth: OnceCell<Var<'l, f32>>,
     pair_maps: OnceCell<Vec<PairMaps<'l, f32>>>,
@@ -52,7 +52,8 @@ impl<'a, 'l> Scene<'a, 'l> {
             leaves,
             seed,
             cameras: [&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
-            depth: twice(range.depth(leaves.disparities[0])),
+            target_depth: OnceCell::new(),
+            depth: OnceCell::new(),
             rigid: OnceCell::new(),
             source_depth: OnceCell::new(),
             pair_maps: OnceCell::new(),
@@ -61,7 +62,17 @@ impl<'a, 'l> Scene<'a, 'l> {
     }
 
     pub fn tape(&self) -> &'l Tape<f32> {
-        self.depth.tape()
+        self.leaves.disparities[0].tape()
+    }
+
+    /// Depth of the target at full size, `[n, 1, h, w]`.
+    pub fn target_depth(&self) -> Var<'l, f32> {
+        *self.target_depth.get_or_init(|| self.range.depth(self.leaves.disparities[0]))
+    }
+
+    /// Depth of the target at full size, once for each source, `[2 n, 1, h, w]`.
+    pub fn depth(&self) -> Var<'l, f32> {
+        *self.depth.get_or_init(|| twice(self.target_depth()))
     }
 
     /// Snippets of the batch.
@@ -77,7 +88,7 @@ impl<'a, 'l> Scene<'a, 'l> {
     /// Flow and source depth by depth and motion, `[2 n, 3, h, w]`.
     pub fn rigid(&self) -> Var<'l, f32> {
         let Pose { rotation, translation } = self.motion();
-        *self.rigid.get_or_init(|| taped::rigid_flow(self.depth, rotation, translation, &self.cameras))
+        *self.rigid.get_or_init(|| taped::rigid_flow(self.depth(), rotation, translation, &self.cameras))
     }
 
     /// Flow from target to source by depth and motion, `[2 n, 2, h, w]`.

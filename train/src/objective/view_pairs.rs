@@ -55,7 +55,7 @@ impl<'l> ViewPairs<'l> {
             _ => (sc_depth_pair::pair_loss(scene.pair_maps(), MIN_PIXELS), 1),
         };
         let PairLoss { photo, geometry, pixels } = loss;
-        let all = candidates * scene.samples() * scene.depth.shape().plane();
+        let all = candidates * scene.samples() * scene.target_depth().shape().plane();
         ViewPairs { photo, geometry, valid: pixels as f64 / all as f64 }
     }
 }
@@ -78,7 +78,7 @@ fn pairs<'a, 'l>(scene: &'a Scene<'_, 'l>) -> Vec<ViewPair<'a, 'l, f32>> {
     let [mean, deviation] = COLOURS;
     let colours = |image: Var<'l, f32>| image.add_scalar(-mean).scale(1.0 / deviation);
     let target = tape.constant(scene.batch.plain.target.clone());
-    let target = View { image: colours(target), depth: scene.depth.slice(0, 0, n) };
+    let target = View { image: colours(target), depth: scene.target_depth() };
     let sources = colours(scene.sources());
     let both_ways = (0..2).flat_map(|k| {
         let part = |x: Var<'l, f32>| x.slice(0, k * n, n);

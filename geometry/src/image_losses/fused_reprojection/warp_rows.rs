@@ -139,6 +139,7 @@ impl<T: Scalar> WarpRow<'_, T> {
             *cell = (number + WHOLE).to_bits() as u32;
         }
         let shift = T::from_f64(SHIFT);
+        #[allow(clippy::needless_range_loop)] // one index over many arrays
         for k in 0..CHUNK {
             let (a, b) = (chunk.u[k], chunk.v[k]);
             let (left, above) = (T::ONE - a, T::ONE - b);
