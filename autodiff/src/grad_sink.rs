@@ -87,8 +87,12 @@ impl<T: Scalar> GradSlot<'_, T> {
         self.add_fresh(fresh);
     }
 
-    /// Adds a pooled buffer.
-    fn add_fresh(&mut self, fresh: Vec<T>) {
+    /// Adds a buffer from [`GradSink::scratch`]; the first contribution becomes the gradient without a copy.
+    ///
+    /// # Panics
+    /// When the number of elements differs from the parent's.
+    #[track_caller]
+    pub fn add_fresh(&mut self, fresh: Vec<T>) {
         let fresh = Tensor::pooled(self.shape, fresh, self.pool);
         self.add_tensor(&fresh);
     }

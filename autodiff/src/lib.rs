@@ -51,6 +51,7 @@
 //! The same inputs give the same bits on any number of threads: work is cut into chunks of fixed size ([`par`]) and
 //! reductions run in a fixed order.
 
+mod arccos;
 mod checkpoint;
 mod erfc;
 mod fast;

@@ -2,7 +2,9 @@
 
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Not, Sub};
 
-use pulp::Simd;
+pub use pulp::{Arch, Simd, WithSimd};
+
+use crate::arccos;
 
 /// Vector arithmetic on an element type under an instruction set `S`; [`Wide`] has the operators for it.
 pub trait SimdScalar: Copy {
@@ -44,6 +46,10 @@ pub trait SimdScalar: Copy {
     fn opposite<S: Simd>(simd: S, a: Self::Reg<S>) -> Self::Reg<S>;
     /// `a < b`; false where one is NaN.
     fn less<S: Simd>(simd: S, a: Self::Reg<S>, b: Self::Reg<S>) -> Self::Truth<S>;
+    /// `a <= b`; false where one is NaN.
+    fn at_most<S: Simd>(simd: S, a: Self::Reg<S>, b: Self::Reg<S>) -> Self::Truth<S>;
+    /// Arc cosine of cosines in [-1, 1], radians: to rounding in `f64`, to 5e-7 in `f32`.
+    fn arccos<S: Simd>(simd: S, a: Self::Reg<S>) -> Self::Reg<S>;
     /// `a` where `truth` holds, `b` elsewhere.
     fn choose<S: Simd>(simd: S, truth: Self::Truth<S>, a: Self::Reg<S>, b: Self::Reg<S>) -> Self::Reg<S>;
     /// Where both hold.
@@ -62,7 +68,7 @@ macro_rules! simd_scalar {
         $t:ident, $reg:ident, $truth:ident, $lanes:ident, $splat:ident, $as:ident, $as_mut:ident, $part:ident, $part_store:ident;
         [$($name:ident = $call:ident($($x:ident),*);)*]
         [$($truth_name:ident = $truth_call:ident($($y:ident),*);)*]
-        $less:ident, $select:ident, $reduce:ident, $apart:ident
+        $less:ident, $at_most:ident, $select:ident, $reduce:ident, $apart:ident, $arccos:path
     ) => {
         impl SimdScalar for $t {
             type Reg<S: Simd> = S::$reg;
@@ -112,6 +118,14 @@ macro_rules! simd_scalar {
                 simd.$less(a, b)
             }
             #[inline(always)]
+            fn at_most<S: Simd>(simd: S, a: S::$reg, b: S::$reg) -> S::$truth {
+                simd.$at_most(a, b)
+            }
+            #[inline(always)]
+            fn arccos<S: Simd>(simd: S, a: S::$reg) -> S::$reg {
+                $arccos(simd, a)
+            }
+            #[inline(always)]
             fn choose<S: Simd>(simd: S, truth: S::$truth, a: S::$reg, b: S::$reg) -> S::$reg {
                 simd.$select(truth, a, b)
             }
@@ -140,7 +154,7 @@ simd_scalar!(
     [both = and_m32s(a, b);
     either = or_m32s(a, b);
     contrary = not_m32s(a);]
-    less_than_f32s, select_f32s, reduce_sum_f32s, deinterleave_shfl_f32s
+    less_than_f32s, less_than_or_equal_f32s, select_f32s, reduce_sum_f32s, deinterleave_shfl_f32s, arccos::single
 );
 simd_scalar!(
     f64, f64s, m64s, F64_LANES, splat_f64s, as_simd_f64s, as_mut_simd_f64s, partial_load_f64s, partial_store_f64s;
@@ -155,7 +169,7 @@ simd_scalar!(
     [both = and_m64s(a, b);
     either = or_m64s(a, b);
     contrary = not_m64s(a);]
-    less_than_f64s, select_f64s, reduce_sum_f64s, deinterleave_shfl_f64s
+    less_than_f64s, less_than_or_equal_f64s, select_f64s, reduce_sum_f64s, deinterleave_shfl_f64s, arccos::double
 );
 
 /// Repeats a block with a constant that takes each of the values: loops over registers must be written out before the compiler
@@ -183,6 +197,18 @@ pub struct Truths<S: Simd, T: SimdScalar> {
 }
 
 impl<S: Simd, T: SimdScalar> Wide<S, T> {
+    /// A register with operators.
+    #[inline(always)]
+    pub(crate) fn new(simd: S, reg: T::Reg<S>) -> Self {
+        Self { simd, reg }
+    }
+
+    /// The register.
+    #[inline(always)]
+    pub(crate) fn reg(self) -> T::Reg<S> {
+        self.reg
+    }
+
     /// Numbers in a register.
     pub const fn lanes() -> usize {
         size_of::<T::Reg<S>>() / size_of::<T>()
@@ -258,6 +284,18 @@ impl<S: Simd, T: SimdScalar> Wide<S, T> {
     #[inline(always)]
     pub fn greater(self, other: Self) -> Truths<S, T> {
         other.less(self)
+    }
+
+    /// Where `self <= other`; nowhere that one is NaN.
+    #[inline(always)]
+    pub fn at_most(self, other: Self) -> Truths<S, T> {
+        Truths { simd: self.simd, truth: T::at_most(self.simd, self.reg, other.reg) }
+    }
+
+    /// Arc cosine of cosines in [-1, 1], radians: to rounding in `f64`, to 5e-7 in `f32`.
+    #[inline(always)]
+    pub fn arccos(self) -> Self {
+        Self { reg: T::arccos(self.simd, self.reg), ..self }
     }
 
     /// The smaller one; `other` where one is NaN.
@@ -352,7 +390,7 @@ impl<S: Simd, T: SimdScalar> Not for Truths<S, T> {
 mod tests {
     use super::*;
     use crate::Scalar;
-    use pulp::{Arch, Scalar as OneLane, WithSimd};
+    use pulp::Scalar as OneLane;
 
     /// Every operation at once, on two slices of any length.
     struct All<'a, T> {
@@ -365,7 +403,7 @@ mod tests {
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) -> Vec<Vec<T>> {
             let lanes = Wide::<S, T>::lanes();
-            let mut out = vec![vec![T::ZERO; self.a.len()]; 12];
+            let mut out = vec![vec![T::ZERO; self.a.len()]; 13];
             for start in (0..self.a.len()).step_by(lanes) {
                 let end = self.a.len().min(start + lanes);
                 let whole = end - start == lanes;
@@ -387,6 +425,7 @@ mod tests {
                     a.min(b),
                     a.max(b),
                     a.less(b).choose(yes, no),
+                    a.at_most(b).choose(yes, no),
                     (above & b.greater(no)).choose(yes, no),
                     (!above | b.greater(no)).choose(yes, no),
                 ];
@@ -419,6 +458,7 @@ mod tests {
                 if a < b { a } else { b },
                 if b < a { a } else { b },
                 truth(a < b),
+                truth(a <= b),
                 truth(a > T::ZERO && b > T::ZERO),
                 truth(!(a > T::ZERO) || b > T::ZERO),
             ]
