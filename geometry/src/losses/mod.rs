@@ -8,11 +8,14 @@
 //!
 //! Masks may hold weights between 0 and 1, such as one minus the probability of motion: every mean and variance is weighted.
 //!
+//! [`fused::geometric_losses`] gives the same four as one operation, for the forms that matter most.
+//!
 //! Arguments at pixels outside a mask are replaced by constants before any division, root or angle, so
 //! neither values nor gradients of unusable pixels can spread.
 
 mod arccos;
 pub mod axial;
+pub mod fused;
 #[cfg(test)]
 mod laws;
 mod options;

@@ -27,8 +27,12 @@ pub struct LossTerm<'t, T: Scalar> {
 impl<'t, T: Scalar> LossTerm<'t, T> {
     /// Averages over the images whose `mask` keeps at least the part `min_valid_share` of the pixels.
     pub(crate) fn new(per_image: Var<'t, T>, mask: &Tensor<T>, min_valid_share: f64) -> Self {
-        let counts = masks::counts(mask);
-        let least = (min_valid_share * mask.shape().plane() as f64).ceil().max(1.0) as usize;
+        Self::from_counts(per_image, masks::counts(mask), mask.shape().plane(), min_valid_share)
+    }
+
+    /// As [`LossTerm::new`], from the numbers of usable pixels among those of a `plane`.
+    pub(crate) fn from_counts(per_image: Var<'t, T>, counts: Vec<usize>, plane: usize, min_valid_share: f64) -> Self {
+        let least = (min_valid_share * plane as f64).ceil().max(1.0) as usize;
         let enough: Vec<bool> = counts.iter().map(|&c| c >= least).collect();
         let images = enough.iter().filter(|&&e| e).count();
         let tape = per_image.tape();
