@@ -1,6 +1,6 @@
 //! The loss core, forward and backward, at 640 x 192 and at nano size: warp, photometric error and minimum over sources with
-//! auto-mask, as one operation and composed of several; smoothness; then the
-//! aligned pair with L_pla, L_axi, L_tan and L_rad, in the literal form and in the one that training uses by default.
+//! auto-mask, and the aligned pair with L_pla, L_axi, L_tan and L_rad in the literal form and in the one that training uses by
+//! default, each composed of operations and as one; smoothness.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dimode::losses::fused_reprojection::{Combine, Frames, fused_reprojection};
@@ -12,7 +12,8 @@ use dimode_autodiff::rng::uniform;
 use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
 use dimode_benches::random_images;
 use dimode_geometry::Intrinsics;
-use dimode_geometry::losses::{AlignedPair, LossOptions, PairInputs, axial, planar, radial, tangential};
+use dimode_geometry::losses::fused::geometric_losses;
+use dimode_geometry::losses::{AlignedPair, LossOptions, LossTerm, PairInputs, axial, planar, radial, tangential};
 use dimode_geometry::taped::{self, Pose, RotationForm, masks};
 
 /// Samples, height, width.
@@ -111,31 +112,44 @@ fn photometric_core(c: &mut Criterion) {
     }
 }
 
+/// The four losses of a batch.
+type Losses = for<'t> fn(&PairInputs<'_, 't, f32>, &LossOptions) -> [LossTerm<'t, f32>; 4];
+
+fn composed<'t>(inputs: &PairInputs<'_, 't, f32>, options: &LossOptions) -> [LossTerm<'t, f32>; 4] {
+    let pair = AlignedPair::new(inputs, options);
+    [planar(&pair, options), axial(&pair, options), tangential(&pair, options), radial(&pair, options)]
+}
+
+fn fused<'t>(inputs: &PairInputs<'_, 't, f32>, options: &LossOptions) -> [LossTerm<'t, f32>; 4] {
+    geometric_losses(inputs, options, [true; 4]).expect("forms with kernels")
+}
+
 fn geometric_core(c: &mut Criterion) {
     for (form, options) in [("literal", LossOptions::literal()), ("default", LossOptions::default())] {
         for (n, h, w) in SIZES {
             let scene = Scene::new(n, h, w);
             let (flow, mask) = (scene.observed_flow(), masks::everywhere(scene.depth.shape()));
-            let pool = Pool::new();
-            c.bench_function(&format!("aligned pair + four losses, {form}/{w}x{h} b{n}"), |b| {
-                b.iter(|| {
-                    let tape = Tape::with_pool(pool.clone());
-                    let [target_depth, rotation, translation] = scene.leaves(&tape);
-                    let Pose { rotation, translation } = pose(rotation, translation, false);
-                    let inputs = PairInputs {
-                        target_depth,
-                        source_depth: tape.leaf(scene.source_depth.clone()),
-                        flow: tape.constant(flow.clone()),
-                        rotation,
-                        translation,
-                        intrinsics: &scene.cameras,
-                        mask: &mask,
-                    };
-                    let pair = AlignedPair::new(&inputs, &options);
-                    let losses = [planar, axial, tangential, radial].map(|loss| loss(&pair, &options).mean);
-                    tape.backward(losses.into_iter().reduce(Var::add).expect("four losses"))
+            for (how, losses) in [("composed", composed as Losses), ("fused", fused)] {
+                let pool = Pool::new();
+                c.bench_function(&format!("aligned pair + four losses, {form}, {how}/{w}x{h} b{n}"), |b| {
+                    b.iter(|| {
+                        let tape = Tape::with_pool(pool.clone());
+                        let [target_depth, rotation, translation] = scene.leaves(&tape);
+                        let Pose { rotation, translation } = pose(rotation, translation, false);
+                        let inputs = PairInputs {
+                            target_depth,
+                            source_depth: tape.leaf(scene.source_depth.clone()),
+                            flow: tape.constant(flow.clone()),
+                            rotation,
+                            translation,
+                            intrinsics: &scene.cameras,
+                            mask: &mask,
+                        };
+                        let means = losses(&inputs, &options).map(|loss| loss.mean);
+                        tape.backward(means.into_iter().reduce(Var::add).expect("four losses"))
+                    });
                 });
-            });
+            }
         }
     }
 }

@@ -39,24 +39,37 @@ fn measure<'l>(scene: &Scene<'_, 'l>) -> Vec<Term<'l>> {
         intrinsics: &scene.cameras,
         mask: &mask,
     };
-    let pair = geometric::AlignedPair::new(&inputs, options);
-    type Loss<'l> = fn(&geometric::AlignedPair<'l, f32>, &geometric::LossOptions) -> geometric::LossTerm<'l, f32>;
-    let losses: [(_, _, Loss<'l>); 4] = [
-        ("l_pla", stage.lambda1, geometric::planar),
-        ("l_axi", stage.lambda1, geometric::axial),
-        ("l_tan", stage.lambda2, geometric::tangential),
-        ("l_rad", stage.lambda2, geometric::radial),
-    ];
+    let weights = [stage.lambda1, stage.lambda1, stage.lambda2, stage.lambda2];
+    let losses = ["l_pla", "l_axi", "l_tan", "l_rad"].into_iter().zip(weights).zip(four_losses(&inputs, options, weights));
     // Of the sources that were not chosen no pixel is asked for.
     let asked = mask.shape().len() as f64 * if scene.loss.sources == Sources::Both { 1.0 } else { 0.5 };
-    let chosen = losses.into_iter().filter(|(_, weight, _)| *weight > 0.0);
-    let measured = chosen.map(|(name, weight, loss)| {
-        let measured = loss(&pair, options);
+    let chosen = losses.filter(|((_, weight), _)| *weight > 0.0);
+    let measured = chosen.map(|((name, weight), measured)| {
         let pixels = measured.counts.iter().sum::<usize>() as f64;
         let images = images(&measured);
         Term { images, ..Term::new(name, weight, measured.mean, pixels / asked) }
     });
     measured.collect()
+}
+
+/// Planar, axial, tangential and radial loss, as one operation where there is one; those without weight may be anything.
+fn four_losses<'l>(
+    inputs: &geometric::PairInputs<'_, 'l, f32>,
+    options: &geometric::LossOptions,
+    weights: [f64; 4],
+) -> [geometric::LossTerm<'l, f32>; 4] {
+    match geometric::fused::geometric_losses(inputs, options, weights.map(|weight| weight > 0.0)) {
+        Some(losses) => losses,
+        None => {
+            let pair = geometric::AlignedPair::new(inputs, options);
+            [
+                geometric::planar(&pair, options),
+                geometric::axial(&pair, options),
+                geometric::tangential(&pair, options),
+                geometric::radial(&pair, options),
+            ]
+        }
+    }
 }
 
 /// Leaves out the previous frames where only the next ones are wanted.

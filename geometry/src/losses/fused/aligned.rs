@@ -66,6 +66,7 @@ pub(super) fn forward<S: Simd, T: Scalar>(simd: S, sample: &Sample<T>, given: Gi
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let (min, z_min) = (splat(simd, MIN_DEPTH), Wide::splat(simd, sample.z_min));
     let infinity = Wide::splat(simd, -T::NEG_INFINITY);
+    let noisy = sample.noise.is_some();
     let [noise_pixels, noise_share] = sample.noise.unwrap_or([T::ZERO; 2]);
     let (noise_pixels, noise_share) = (Wide::splat(simd, noise_pixels), Wide::splat(simd, noise_share));
     for at in (0..rows.padded()).step_by(Wide::<S, T>::lanes()) {
@@ -77,7 +78,10 @@ pub(super) fn forward<S: Simd, T: Scalar>(simd: S, sample: &Sample<T>, given: Gi
         let (_, [nx, ny, nz]) = turn.of(x, dx, dy);
         let za = d * nz;
         let zp = za - az;
-        let (ip, ia) = (min.less(zp).choose(one / zp, zero), min.less(za).choose(one / za, zero));
+        let (ahead_p, ahead_a) = (min.less(zp), min.less(za));
+        let (zp_or_one, za_or_one) = (ahead_p.choose(zp, one), ahead_a.choose(za, one));
+        let inverse = one / (zp_or_one * za_or_one);
+        let (ip, ia) = (ahead_p.choose(za_or_one * inverse, zero), ahead_a.choose(zp_or_one * inverse, zero));
         let planar = [fu * d.mul_add(nx, x * az) * ip, fv * d.mul_add(ny, turn.y * az) * ip];
         let axial = [fu * d.mul_add(nx, -ax) * ia, fv * d.mul_add(ny, -ay) * ia];
         let in_view = zero.at_most(Wide::load(simd, &rows.part[0][at..]));
@@ -87,17 +91,24 @@ pub(super) fn forward<S: Simd, T: Scalar>(simd: S, sample: &Sample<T>, given: Gi
             & axial[1].abs().less(infinity);
         let ahead = z_min.less(d) & z_min.less(zp) & z_min.less(za);
         let usable = zero.less(weight.abs()) & in_view & finite & ahead;
-        usable.choose(weight, zero).store(&mut rows.weight[at..]);
+        let weight = usable.choose(weight, zero);
+        weight.store(&mut rows.weight[at..]);
         usable.choose(d, one).store(&mut rows.source_depth[at..]);
-        read(simd, given.target_depth, at).store(&mut rows.target_depth[at..]);
+        let z = read(simd, given.target_depth, at);
+        z.store(&mut rows.target_depth[at..]);
+        let front = usable & z_min.less(z) & z.less(infinity);
+        front.choose(weight, zero).store(&mut rows.front_weight[at..]);
+        front.choose(one / z, one).store(&mut rows.inverse_depth[at..]);
         usable.choose(ip, zero).store(&mut rows.inverse[0][at..]);
         usable.choose(ia, zero).store(&mut rows.inverse[1][at..]);
         usable.choose(planar[0], zero).store(&mut rows.planar[0][at..]);
         usable.choose(planar[1], zero).store(&mut rows.planar[1][at..]);
         usable.choose(axial[0], zero).store(&mut rows.axial[0][at..]);
         usable.choose(axial[1], zero).store(&mut rows.axial[1][at..]);
-        let size = flow_u.mul_add(flow_u, flow_v * flow_v).sqrt();
-        usable.choose(noise_share.mul_add(size, noise_pixels), zero).store(&mut rows.noise[at..]);
+        if noisy {
+            let size = flow_u.mul_add(flow_u, flow_v * flow_v).sqrt();
+            usable.choose(noise_share.mul_add(size, noise_pixels), zero).store(&mut rows.noise[at..]);
+        }
     }
 }
 

@@ -48,7 +48,7 @@ impl<T: Scalar> Axial<T> {
                     let p = Angle::of(simd, rows, at);
                     let w = p.used.choose(Wide::load(simd, &rows.weight[at..]), zero);
                     add_pixel(&mut totals, p.used, w);
-                    totals[2] = w.mul_add(p.cosine.arccos(), totals[2]);
+                    totals[2] = w.mul_add(p.cosine().arccos(), totals[2]);
                 }
             }
             Self::Pixels { q_min, smooth } => {
@@ -82,7 +82,8 @@ impl<T: Scalar> Axial<T> {
             Self::Literal => {
                 for at in (0..rows.padded()).step_by(step) {
                     let p = Angle::of(simd, rows, at);
-                    let slopes = p.used & p.cosine.abs().less(p.cosine.like(T::ONE));
+                    // The squares stand for a cosine below 1, which would take two roots and a division.
+                    let slopes = p.used & zero.less(p.across.abs()) & (p.along * p.along).less(p.square * p.radius_square);
                     let s = slopes.choose(share * Wide::load(simd, &rows.weight[at..]) / p.square, zero);
                     let s = p.across.less(zero).choose(-s, s);
                     let [u, v] = p.flow;
@@ -96,7 +97,7 @@ impl<T: Scalar> Axial<T> {
                     let p = Distance::of(simd, rows, q_min, at);
                     let excess = beyond.of(simd, p.distance * p.distance, rows, at);
                     let s = (p.used & excess.counts).choose(share * Wide::load(simd, &rows.weight[at..]), zero);
-                    add(simd, rows.to_noise, at, -s);
+                    beyond.send(simd, rows, at, s);
                     let s = s * p.distance / (excess.length * p.radius);
                     add(simd, rows.to_axial[0], at, -(s * p.offset[1]));
                     add(simd, rows.to_axial[1], at, s * p.offset[0]);
@@ -112,7 +113,10 @@ struct Angle<S: Simd, T: Scalar> {
     used: Truths<S, T>,
     /// `|f|^2`, 1 where not used.
     square: Wide<S, T>,
-    cosine: Wide<S, T>,
+    /// `|d|^2`, 1 where not used.
+    radius_square: Wide<S, T>,
+    /// `d . f`.
+    along: Wide<S, T>,
     /// `d x f`.
     across: Wide<S, T>,
 }
@@ -123,12 +127,17 @@ impl<S: Simd, T: Scalar> Angle<S, T> {
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
         let [u, v] = load2(simd, &rows.axial, at);
         let (x, y) = (Wide::load(simd, &rows.offset[at..]), Wide::splat(simd, rows.offset_v));
-        let (square, radius) = (u * u + v * v, (x * x + y * y).sqrt());
-        let used = zero.less(Wide::load(simd, &rows.weight[at..]).abs()) & zero.less(square) & zero.less(radius);
-        let square = used.choose(square, one);
-        let sizes = square.sqrt() * used.choose(radius, one).max(splat(simd, 1e-12));
-        let cosine = ((u * x + v * y) / sizes).min(one).max(-one);
-        Self { flow: [u, v], used, square, cosine, across: x * v - y * u }
+        let (square, radius_square) = (u * u + v * v, x * x + y * y);
+        let used = zero.less(Wide::load(simd, &rows.weight[at..]).abs()) & zero.less(square) & zero.less(radius_square);
+        let (square, radius_square) = (used.choose(square, one), used.choose(radius_square, one));
+        Self { flow: [u, v], used, square, radius_square, along: u * x + v * y, across: x * v - y * u }
+    }
+
+    /// `d . f / (|d| |f|)`, held in [-1, 1].
+    #[inline(always)]
+    fn cosine(&self) -> Wide<S, T> {
+        let one = self.along.like(T::ONE);
+        (self.along / (self.square.sqrt() * self.radius_square.sqrt())).min(one).max(-one)
     }
 }
 

@@ -110,10 +110,10 @@ impl<T: Scalar> Planar<T> {
                 let (share, mean) = (splat(simd, 2.0 * share), splat(simd, sums[2] / sums[WEIGHT]));
                 for at in (0..rows.padded()).step_by(step) {
                     let p = Direction::of(simd, rows, at);
-                    let slopes = p.used & p.cosine.abs().less(p.cosine.like(T::ONE));
-                    let from_angle = share * Wide::load(simd, &rows.weight[at..]) * (p.cosine.arccos() - mean);
-                    let from_angle = slopes.choose(from_angle / p.square, zero);
                     let [u, v] = p.flow;
+                    let slopes = p.used & zero.less(v.abs()) & p.cosine.abs().less(p.cosine.like(T::ONE));
+                    let from_angle = share * Wide::load(simd, &rows.weight[at..]) * (p.cosine.arccos() - mean);
+                    let from_angle = slopes.choose(from_angle * p.inverse * p.inverse, zero);
                     add(simd, rows.to_planar[0], at, -(from_angle * v.abs()));
                     add(simd, rows.to_planar[1], at, from_angle * v.less(zero).choose(-u, u));
                 }
@@ -128,7 +128,7 @@ impl<T: Scalar> Planar<T> {
                     let distance = line.distance(simd, rows, at);
                     let excess = beyond.of(simd, distance * distance, rows, at);
                     let s = (used & excess.counts).choose(share * Wide::load(simd, &rows.weight[at..]), zero);
-                    add(simd, rows.to_noise, at, -s);
+                    beyond.send(simd, rows, at, s);
                     let s = s * distance / excess.length;
                     let [u, v] = load2(simd, &rows.planar, at);
                     add(simd, rows.to_planar[0], at, s * y);
@@ -169,8 +169,8 @@ pub(super) fn add_pixel<S: Simd, T: Scalar, const K: usize>(totals: &mut [Wide<S
 struct Direction<S: Simd, T: Scalar> {
     flow: [Wide<S, T>; 2],
     used: Truths<S, T>,
-    /// `|f|^2`, 1 where not used.
-    square: Wide<S, T>,
+    /// `1 / |f|`, 1 where not used.
+    inverse: Wide<S, T>,
     /// `f_u / |f|`.
     cosine: Wide<S, T>,
 }
@@ -182,9 +182,11 @@ impl<S: Simd, T: Scalar> Direction<S, T> {
         let [u, v] = load2(simd, &rows.planar, at);
         let square = u * u + v * v;
         let used = zero.less(Wide::load(simd, &rows.weight[at..]).abs()) & zero.less(square);
-        let square = used.choose(square, one);
-        let cosine = (u / square.sqrt()).min(one).max(-one);
-        Self { flow: [u, v], used, square, cosine }
+        let inverse = one / used.choose(square, one).sqrt();
+        // A horizontal flow has no angle, not even by the rounding of the reciprocal.
+        let horizontal = u.less(zero).choose(-one, one);
+        let cosine = zero.less(v.abs()).choose((u * inverse).min(one).max(-one), horizontal);
+        Self { flow: [u, v], used, inverse, cosine }
     }
 }
 

@@ -66,7 +66,7 @@ impl<T: Scalar> Radial<T> {
                     totals[4] = totals[4] - w * p.depth.z * p.along / p.whole;
                     let w = p.divides.choose(p.depth.weight, zero);
                     totals[2] = totals[2] + w;
-                    totals[3] = w.mul_add(PixelError::of(p.rho * a, p.depth.z).error, totals[3]);
+                    totals[3] = w.mul_add(PixelError::of(p.rho * a, &p.depth).error, totals[3]);
                 }
                 add_sums(sums, totals);
             }
@@ -138,14 +138,14 @@ fn spread_ratio<S: Simd, T: Scalar>(
     let mut total = zero;
     for at in (0..rows.padded()).step_by(Wide::<S, T>::lanes()) {
         let p = Along::of(simd, sample, rows, at);
-        let e = PixelError::of(p.rho * a, p.depth.z);
+        let e = PixelError::of(p.rho * a, &p.depth);
         let q = share * p.divides.choose(p.depth.weight, zero) * e.slope;
         // 1 over the whole, so that no square of a divisor can underflow.
         let inverse = splat(simd, 1.0) / p.whole;
         let r = recovered * p.recovers.choose(p.depth.weight, zero) * inverse;
         total = q.mul_add(p.rho, total);
         add(simd, rows.to_target_depth, at, -(r * p.along) - q * e.relative);
-        let to_along = q * a * (p.square / p.divisor) / p.divisor - r * p.depth.z * p.square * inverse;
+        let to_along = q * a * (p.square * p.inverse) * p.inverse - r * p.depth.z * p.square * inverse;
         add(simd, rows.to_axial[0], at, to_along * p.offset[0]);
         add(simd, rows.to_axial[1], at, to_along * p.offset[1]);
     }
@@ -169,7 +169,7 @@ fn spread_pixels<S: Simd, T: Scalar>(
         let p = Residual::of(simd, sample, rows, q_min, at);
         let excess = beyond.of(simd, p.residual * p.residual, rows, at);
         let s = (p.used & excess.counts).choose(share * p.weight, zero);
-        add(simd, rows.to_noise, at, -s);
+        beyond.send(simd, rows, at, s);
         let s = s * p.residual / excess.length;
         let along = s / p.radius;
         add(simd, rows.to_axial[0], at, along * p.offset[0]);
@@ -189,9 +189,9 @@ struct Along<S: Simd, T: Scalar> {
     square: Wide<S, T>,
     /// `b`.
     along: Wide<S, T>,
-    /// Where `b` can be divided by, and `b` with 1 elsewhere.
+    /// Where `b` can be divided by, and `1 / b` with 1 elsewhere.
     divides: Truths<S, T>,
-    divisor: Wide<S, T>,
+    inverse: Wide<S, T>,
     rho: Wide<S, T>,
     /// Where the component can be recovered, and `b + |d|^2` with 1 elsewhere.
     recovers: Truths<S, T>,
@@ -202,17 +202,17 @@ impl<S: Simd, T: Scalar> Along<S, T> {
     #[inline(always)]
     fn of(simd: S, sample: &Sample<T>, rows: &Rows<'_, T>, at: usize) -> Self {
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
-        let depth = Depth::of(simd, sample, rows, at);
+        let depth = Depth::of(simd, rows, at);
         let [u, v] = load2(simd, &rows.axial, at);
         let (x, y) = (Wide::load(simd, &rows.offset[at..]), Wide::splat(simd, rows.offset_v));
         let (square, along) = (x * x + y * y, x * u + y * v);
         let off = depth.used & zero.less(square);
         let divides = off & zero.less(along.abs());
-        let divisor = divides.choose(along, one);
+        let inverse = one / divides.choose(along, one);
         let whole = along + square;
         let recovers = off & zero.less(whole.abs());
-        let rho = -(whole / divisor);
-        Self { depth, offset: [x, y], square, along, divides, divisor, rho, recovers, whole: recovers.choose(whole, one) }
+        let rho = -(whole * inverse);
+        Self { depth, offset: [x, y], square, along, divides, inverse, rho, recovers, whole: recovers.choose(whole, one) }
     }
 }
 
@@ -232,7 +232,7 @@ struct Residual<S: Simd, T: Scalar> {
 impl<S: Simd, T: Scalar> Residual<S, T> {
     #[inline(always)]
     fn of(simd: S, sample: &Sample<T>, rows: &Rows<'_, T>, q_min: T, at: usize) -> Self {
-        let depth = Depth::of(simd, sample, rows, at);
+        let depth = Depth::of(simd, rows, at);
         let [u, v] = load2(simd, &rows.axial, at);
         let (x, y) = (Wide::load(simd, &rows.offset[at..]), Wide::splat(simd, rows.offset_v));
         let (a, q_min) = (Wide::splat(simd, sample.motion.t[2]), Wide::splat(simd, q_min));

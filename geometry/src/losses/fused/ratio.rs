@@ -7,7 +7,7 @@
 use dimode_autodiff::Scalar;
 use dimode_autodiff::simd::{Simd, Truths, Wide};
 
-use super::rows::{Rows, Sample, Sums, WEIGHT, splat};
+use super::rows::{Rows, Sums, WEIGHT, splat};
 
 /// Places of the sums of one axis among those of a loss.
 #[derive(Clone, Copy)]
@@ -22,7 +22,7 @@ pub(super) struct Axis {
 pub(super) const SUMS: usize = 3;
 
 /// What `A` and `C` send back to every pixel.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(super) struct Shares {
     /// Of an error with weight 1.
     pub error: f64,
@@ -69,18 +69,19 @@ pub(super) struct Depth<S: Simd, T: Scalar> {
     pub used: Truths<S, T>,
     /// 1 where not used.
     pub z: Wide<S, T>,
+    /// `1 / z`.
+    pub inverse: Wide<S, T>,
     /// 0 where not used.
     pub weight: Wide<S, T>,
 }
 
 impl<S: Simd, T: Scalar> Depth<S, T> {
     #[inline(always)]
-    pub(super) fn of(simd: S, sample: &Sample<T>, rows: &Rows<'_, T>, at: usize) -> Self {
-        let zero = splat(simd, 0.0);
-        let (z, weight) = (Wide::load(simd, &rows.target_depth[at..]), Wide::load(simd, &rows.weight[at..]));
-        let infinity = Wide::splat(simd, -T::NEG_INFINITY);
-        let used = zero.less(weight.abs()) & Wide::splat(simd, sample.z_min).less(z) & z.less(infinity);
-        Self { used, z: used.choose(z, splat(simd, 1.0)), weight: used.choose(weight, zero) }
+    pub(super) fn of(simd: S, rows: &Rows<'_, T>, at: usize) -> Self {
+        let weight = Wide::load(simd, &rows.front_weight[at..]);
+        let used = splat(simd, 0.0).less(weight.abs());
+        let z = used.choose(Wide::load(simd, &rows.target_depth[at..]), splat(simd, 1.0));
+        Self { used, z, inverse: Wide::load(simd, &rows.inverse_depth[at..]), weight }
     }
 }
 
@@ -96,9 +97,9 @@ pub(super) struct PixelError<S: Simd, T: Scalar> {
 
 impl<S: Simd, T: Scalar> PixelError<S, T> {
     #[inline(always)]
-    pub(super) fn of(rho_a: Wide<S, T>, z: Wide<S, T>) -> Self {
-        let (zero, inverse) = (z.like(T::ZERO), z.like(T::ONE) / z);
-        let difference = rho_a - z;
+    pub(super) fn of(rho_a: Wide<S, T>, Depth { z, inverse, .. }: &Depth<S, T>) -> Self {
+        let (zero, inverse) = (z.like(T::ZERO), *inverse);
+        let difference = rho_a - *z;
         let slope = zero.less(difference).choose(inverse, difference.less(zero).choose(-inverse, zero));
         Self { error: difference.abs() * inverse, slope, relative: rho_a * inverse }
     }

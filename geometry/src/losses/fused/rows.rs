@@ -70,6 +70,10 @@ pub(super) struct Rows<'a, T> {
     pub source_depth: &'a mut [T],
     /// Target depth as it is.
     pub target_depth: &'a mut [T],
+    /// Weight of the pixel; 0 too where the target depth is not in front of the camera.
+    pub front_weight: &'a mut [T],
+    /// `1 / z` of the target; 1 where that weight is 0.
+    pub inverse_depth: &'a mut [T],
     /// `1 / z_pla` and `1 / z_axi`; 0 where the pixel is not usable.
     pub inverse: [&'a mut [T]; 2],
     /// Planar flow, pixels; 0 where the pixel is not usable.
@@ -92,7 +96,7 @@ pub(super) struct Rows<'a, T> {
     pub to_flow: [&'a mut [T]; 2],
 }
 
-const ROWS: usize = 30;
+const ROWS: usize = 31;
 
 impl<'a, T: Scalar> Rows<'a, T> {
     /// Length of the buffer for maps of a width.
@@ -120,6 +124,8 @@ impl<'a, T: Scalar> Rows<'a, T> {
             weight: next(),
             source_depth: next(),
             target_depth: next(),
+            front_weight: next(),
+            inverse_depth: next(),
             inverse: [next(), next()],
             planar: [next(), next()],
             axial: [next(), next()],

@@ -37,7 +37,7 @@ impl Grid {
         // Adding and taking it away leaves the nearest whole number.
         let (whole, one, width) = (splat(simd, 1.0 / T::EPSILON.to_f64()), splat(simd, 1.0), splat(simd, self.width as f64));
         let own = splat(simd, (rows.row.min(self.last_row()) * self.width) as f64);
-        let (mut low, mut high) = (own, own);
+        let (mut low, mut high) = (own + whole, own + whole);
         for at in (0..rows.padded()).step_by(Wide::<S, T>::lanes()) {
             let x = Wide::load(simd, &rows.column[at..]) + read(simd, flow[0], at);
             let y = v + read(simd, flow[1], at);
@@ -46,7 +46,7 @@ impl Grid {
             let (near_x, near_y) = ((x + whole) - whole, (y + whole) - whole);
             let floor_x = x.less(near_x).choose(near_x - one, near_x).min(last_cell[0]);
             let floor_y = y.less(near_y).choose(near_y - one, near_y).min(last_cell[1]);
-            let cell = inside.choose(floor_y * width + floor_x, own);
+            let cell = inside.choose(floor_y * width + floor_x, own) + whole;
             (low, high) = (low.min(cell), high.max(cell));
             cell.store(&mut rows.cell[at..]);
             // A weight of 0 marks what is out of view.
@@ -57,9 +57,8 @@ impl Grid {
         let lanes = Wide::<S, T>::lanes();
         low.store(&mut ends);
         high.store(&mut ends[LANES..]);
-        let number = |x: T| x.to_f64() as usize;
-        let low = ends[..lanes].iter().map(|&x| number(x)).min();
-        let high = ends[LANES..LANES + lanes].iter().map(|&x| number(x)).max();
+        let low = ends[..lanes].iter().map(|x| x.low_bits()).min();
+        let high = ends[LANES..LANES + lanes].iter().map(|x| x.low_bits()).max();
         [low.expect("a register has lanes"), high.expect("a register has lanes")]
     }
 
@@ -80,7 +79,7 @@ impl Grid {
         let cells = &rows.cell[..len];
         let (right, below) = (self.right, self.below);
         for j in 0..len {
-            let base = cells[j].to_f64() as i32 as usize;
+            let base = cells[j].low_bits();
             let cell = &map[base..base + below + right + 1];
             a[j] = cell[0];
             b[j] = cell[right];
@@ -110,7 +109,7 @@ impl Grid {
         let [along_u, along_v] = rows.part.each_ref().map(|row| &row[..len]);
         let (right, below) = (self.right, self.below);
         for j in 0..len {
-            let base = cells[j].to_f64() as i32 as usize;
+            let base = cells[j].low_bits();
             let cell = &mut map[base..base + below + right + 1];
             let lower = gradients[j] * along_v[j];
             let upper = gradients[j] - lower;

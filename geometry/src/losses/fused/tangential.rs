@@ -7,7 +7,7 @@ use dimode_autodiff::Scalar;
 use dimode_autodiff::simd::{Simd, Wide};
 
 use super::planar::add_pixel;
-use super::ratio::{Axis, Depth, PixelError, SUMS};
+use super::ratio::{Axis, Depth, PixelError, SUMS, Shares};
 use super::residual::Beyond;
 use super::rows::{Rows, Sample, Sums, WEIGHT, add, add_sums, load2, splat};
 use crate::losses::{LossOptions, TangentialForm};
@@ -51,7 +51,7 @@ impl<T: Scalar> Tangential<T> {
                 let mut totals = [zero; OWN + 2 * SUMS];
                 let inverse = [Wide::splat(simd, sample.inverse_focal[0]), Wide::splat(simd, sample.inverse_focal[1])];
                 for at in (0..rows.padded()).step_by(step) {
-                    let depth = Depth::of(simd, sample, rows, at);
+                    let depth = Depth::of(simd, rows, at);
                     add_pixel(&mut totals, depth.used, depth.weight);
                     let flow = load2(simd, &rows.planar, at);
                     for k in 0..2 {
@@ -60,7 +60,7 @@ impl<T: Scalar> Tangential<T> {
                         let w = divides.choose(depth.weight, zero);
                         let first = OWN + SUMS * k;
                         totals[first] = totals[first] + w;
-                        totals[first + 1] = w.mul_add(PixelError::of(rho * a[k], depth.z).error, totals[first + 1]);
+                        totals[first + 1] = w.mul_add(PixelError::of(rho * a[k], &depth).error, totals[first + 1]);
                         totals[first + 2] = (depth.weight * depth.z).mul_add(flow[k] * inverse[k], totals[first + 2]);
                     }
                 }
@@ -73,10 +73,10 @@ impl<T: Scalar> Tangential<T> {
                 let mut totals = [zero; 3];
                 let beyond = Beyond::new(simd, sample, smooth);
                 for at in (0..rows.padded()).step_by(step) {
-                    let depth = Depth::of(simd, sample, rows, at);
+                    let depth = Depth::of(simd, rows, at);
                     add_pixel(&mut totals, depth.used, depth.weight);
                     let [u, v] = load2(simd, &rows.planar, at);
-                    let inverse = one / depth.z;
+                    let inverse = depth.inverse;
                     let (x, y) = (u - focal[0] * a[0] * inverse, v - focal[1] * a[1] * inverse);
                     totals[2] = depth.weight.mul_add(beyond.of(simd, x * x + y * y, rows, at).value, totals[2]);
                 }
@@ -109,9 +109,8 @@ impl<T: Scalar> Tangential<T> {
         }
         match *self {
             Self::Literal { axes } => {
-                for k in (0..2).filter(|&k| axes[k]) {
-                    spread_axis(simd, sample, k, (g, sums), rows, &mut to_a[k]);
-                }
+                let shares = [0, 1].map(|k| if axes[k] { axis(sample, k).shares(g, sums) } else { Shares::default() });
+                spread_ratios(simd, sample, shares, rows, to_a);
             }
             Self::Pixels { smooth } if sums[WEIGHT] != 0.0 => {
                 spread_pixels(simd, sample, smooth, g / sums[WEIGHT], rows, to_a);
@@ -133,35 +132,34 @@ impl<T: Scalar> Tangential<T> {
 }
 
 #[inline(always)]
-fn spread_axis<S: Simd, T: Scalar>(
-    simd: S,
-    sample: &Sample<T>,
-    k: usize,
-    (g, sums): (f64, &Sums),
-    rows: &mut Rows<'_, T>,
-    to_a: &mut f64,
-) {
-    let shares = axis(sample, k).shares(g, sums);
-    let (share, recovered) = (splat(simd, shares.error), splat(simd, shares.recovered));
+fn spread_ratios<S: Simd, T: Scalar>(simd: S, sample: &Sample<T>, shares: [Shares; 2], rows: &mut Rows<'_, T>, to_a: &mut [f64]) {
+    let error = [splat(simd, shares[0].error), splat(simd, shares[1].error)];
     let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
     let m = &sample.motion;
-    let (focal, a) = (Wide::splat(simd, if k == 0 { m.fu } else { m.fv }), Wide::splat(simd, m.t[k]));
-    let inverse = Wide::splat(simd, sample.inverse_focal[k]);
-    let mut total = zero;
+    let focal = [Wide::splat(simd, m.fu), Wide::splat(simd, m.fv)];
+    let a = [Wide::splat(simd, m.t[0]), Wide::splat(simd, m.t[1])];
+    let [fu, fv] = sample.inverse_focal;
+    let recovered =
+        [splat(simd, shares[0].recovered) * Wide::splat(simd, fu), splat(simd, shares[1].recovered) * Wide::splat(simd, fv)];
+    let mut totals = [zero; 2];
     for at in (0..rows.padded()).step_by(Wide::<S, T>::lanes()) {
-        let depth = Depth::of(simd, sample, rows, at);
-        let flow = Wide::load(simd, &rows.planar[k][at..]);
-        let divides = depth.used & zero.less(flow.abs());
-        let divisor = divides.choose(flow, one);
-        let rho = focal / divisor;
-        let e = PixelError::of(rho * a, depth.z);
-        let q = share * divides.choose(depth.weight, zero) * e.slope;
-        let r = recovered * depth.weight * inverse;
-        total = q.mul_add(rho, total);
-        add(simd, rows.to_planar[k], at, r * depth.z - q * a * rho / divisor);
-        add(simd, rows.to_target_depth, at, r * flow - q * e.relative);
+        let depth = Depth::of(simd, rows, at);
+        let flow = load2(simd, &rows.planar, at);
+        let mut to_depth = zero;
+        for k in 0..2 {
+            let divides = depth.used & zero.less(flow[k].abs());
+            let inverse = one / divides.choose(flow[k], one);
+            let rho = focal[k] * inverse;
+            let e = PixelError::of(rho * a[k], &depth);
+            let q = error[k] * divides.choose(depth.weight, zero) * e.slope;
+            let r = recovered[k] * depth.weight;
+            totals[k] = q.mul_add(rho, totals[k]);
+            add(simd, rows.to_planar[k], at, r * depth.z - q * a[k] * rho * inverse);
+            to_depth = to_depth + (r * flow[k] - q * e.relative);
+        }
+        add(simd, rows.to_target_depth, at, to_depth);
     }
-    *to_a += total.sum().to_f64();
+    add_sums(to_a, totals);
 }
 
 #[inline(always)]
@@ -174,21 +172,21 @@ fn spread_pixels<S: Simd, T: Scalar>(
     to_a: &mut [f64],
 ) {
     let m = &sample.motion;
-    let (share, zero, one) = (splat(simd, share), splat(simd, 0.0), splat(simd, 1.0));
+    let (share, zero) = (splat(simd, share), splat(simd, 0.0));
     let focal = [Wide::splat(simd, m.fu), Wide::splat(simd, m.fv)];
     let a = [Wide::splat(simd, m.t[0]), Wide::splat(simd, m.t[1])];
     let beyond = Beyond::new(simd, sample, smooth);
     let mut totals = [zero; 2];
     for at in (0..rows.padded()).step_by(Wide::<S, T>::lanes()) {
-        let depth = Depth::of(simd, sample, rows, at);
+        let depth = Depth::of(simd, rows, at);
         let [u, v] = load2(simd, &rows.planar, at);
-        let inverse = one / depth.z;
+        let inverse = depth.inverse;
         let [fx, fy] = [focal[0] * inverse, focal[1] * inverse];
         let (px, py) = (fx * a[0], fy * a[1]);
         let (x, y) = (u - px, v - py);
         let excess = beyond.of(simd, x * x + y * y, rows, at);
         let s = (depth.used & excess.counts).choose(share * depth.weight, zero);
-        add(simd, rows.to_noise, at, -s);
+        beyond.send(simd, rows, at, s);
         let s = s / excess.length;
         let (x, y) = (s * x, s * y);
         add(simd, rows.to_planar[0], at, x);
