@@ -60,13 +60,12 @@ pub fn align<'t, T: Scalar>(
         let (mut grad_depth, mut grad_flow) = (grads.scratch(shape.len()), grads.scratch(2 * shape.len()));
         let inputs = [depth.data(), optical.data(), g.data()];
         let sums = backward(&motions, shape, inputs, &mut grad_depth, &mut grad_flow);
-        for (k, gradient) in [(0, &grad_depth), (3, &grad_flow)] {
-            if let Some(mut slot) = grads.slot(k) {
-                slot.write(|out| out.copy_from_slice(gradient));
+        for (k, gradient) in [(0, grad_depth), (3, grad_flow)] {
+            match grads.slot(k) {
+                Some(mut slot) => slot.add_fresh(gradient),
+                None => grads.give_back(gradient),
             }
         }
-        grads.give_back(grad_depth);
-        grads.give_back(grad_flow);
         add_sums(grads, 1, &sums, 0..9);
         add_sums(grads, 2, &sums, 9..12);
     };

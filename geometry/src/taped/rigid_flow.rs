@@ -42,10 +42,10 @@ pub fn rigid_flow<'t, T: Scalar>(
     let record = move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {
         let mut grad_depth = grads.scratch(shape.len());
         let sums = backward(&motions, shape, z.data(), g.data(), &mut grad_depth);
-        if let Some(mut slot) = grads.slot(0) {
-            slot.write(|out| out.copy_from_slice(&grad_depth));
+        match grads.slot(0) {
+            Some(mut slot) => slot.add_fresh(grad_depth),
+            None => grads.give_back(grad_depth),
         }
-        grads.give_back(grad_depth);
         add_sums(grads, 1, &sums, 0..9);
         add_sums(grads, 2, &sums, 9..12);
     };

@@ -60,7 +60,7 @@ impl<T: Scalar> Radial<T> {
             Self::Literal => {
                 let mut totals = [zero; OWN + SUMS];
                 for at in (0..rows.padded()).step_by(step) {
-                    let p = Along::of(simd, sample, rows, at);
+                    let p = Along::of(simd, rows, at);
                     let w = p.recovers.choose(p.depth.weight, zero);
                     add_pixel(&mut totals, p.recovers, w);
                     totals[4] = totals[4] - w * p.depth.z * p.along / p.whole;
@@ -137,7 +137,7 @@ fn spread_ratio<S: Simd, T: Scalar>(
     let (zero, a) = (splat(simd, 0.0), Wide::splat(simd, sample.motion.t[2]));
     let mut total = zero;
     for at in (0..rows.padded()).step_by(Wide::<S, T>::lanes()) {
-        let p = Along::of(simd, sample, rows, at);
+        let p = Along::of(simd, rows, at);
         let e = PixelError::of(p.rho * a, &p.depth);
         let q = share * p.divides.choose(p.depth.weight, zero) * e.slope;
         // 1 over the whole, so that no square of a divisor can underflow.
@@ -200,7 +200,7 @@ struct Along<S: Simd, T: Scalar> {
 
 impl<S: Simd, T: Scalar> Along<S, T> {
     #[inline(always)]
-    fn of(simd: S, sample: &Sample<T>, rows: &Rows<'_, T>, at: usize) -> Self {
+    fn of(simd: S, rows: &Rows<'_, T>, at: usize) -> Self {
         let (zero, one) = (splat(simd, 0.0), splat(simd, 1.0));
         let depth = Depth::of(simd, rows, at);
         let [u, v] = load2(simd, &rows.axial, at);
