@@ -1,6 +1,16 @@
-//! What the benchmarks share: inputs of realistic size and magnitude.
+//! What the benchmarks share: cases of realistic size and magnitude, and how they are timed.
 //!
-//! `cargo bench -p dimode-benches` runs them all; `conv`, `loss_core` and `training_step` are the targets.
+//! `README.md` says which program measures what.
+
+pub mod camera;
+pub mod case;
+pub mod inputs;
+pub mod machine;
+pub mod ours;
+pub mod timing;
+
+pub use case::{Case, Ours, Results};
+pub use inputs::Inputs;
 
 use dimode::batch::{Batch, Images};
 use dimode::config::Config;

@@ -1,0 +1,143 @@
+"""Depth and pose networks of Monodepth2: ResNet-18 encoders, depth decoder, pose decoder.
+
+Parameters have the names of the reference checkpoints, in four files: `encoder`, `depth`, `pose_encoder`, `pose`.
+"""
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+
+class BasicBlock(nn.Module):
+    """Two 3x3 convolutions with batch norm around a skip connection."""
+
+    def __init__(self, inputs, outputs, stride):
+        super().__init__()
+        self.conv1, self.bn1 = nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False), nn.BatchNorm2d(outputs)
+        self.conv2, self.bn2 = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False), nn.BatchNorm2d(outputs)
+        self.downsample = None
+        if stride != 1 or inputs != outputs:
+            self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
+
+    def forward(self, x):
+        y = F.relu(self.bn1(self.conv1(x)))
+        y = self.bn2(self.conv2(y))
+        return F.relu(y + (x if self.downsample is None else self.downsample(x)))
+
+
+class ResNet18(nn.Module):
+    """Features at 1/2 to 1/32 of the size; `width` 64 is the usual one."""
+
+    def __init__(self, images, width):
+        super().__init__()
+        self.conv1, self.bn1 = nn.Conv2d(3 * images, width, 7, 2, 3, bias=False), nn.BatchNorm2d(width)
+        widths = [width, width, 2 * width, 4 * width, 8 * width]
+        for i in range(4):
+            first = BasicBlock(widths[i], widths[i + 1], 1 if i == 0 else 2)
+            setattr(self, f"layer{i + 1}", nn.Sequential(first, BasicBlock(widths[i + 1], widths[i + 1], 1)))
+
+    def forward(self, images):
+        features = [F.relu(self.bn1(self.conv1((images - 0.45) / 0.225)))]
+        x = F.max_pool2d(features[0], 3, 2, 1)
+        for layer in (self.layer1, self.layer2, self.layer3, self.layer4):
+            x = layer(x)
+            features.append(x)
+        return features
+
+
+class ReflectConv(nn.Module):
+    """3x3 convolution over a reflected border."""
+
+    def __init__(self, inputs, outputs):
+        super().__init__()
+        self.conv = nn.Conv2d(inputs, outputs, 3)
+
+    def forward(self, x):
+        return self.conv(F.pad(x, (1, 1, 1, 1), mode="reflect"))
+
+
+class Unit(nn.Module):
+    """A `ReflectConv` with ELU, under the name it has in the checkpoints."""
+
+    def __init__(self, inputs, outputs):
+        super().__init__()
+        self.conv = ReflectConv(inputs, outputs)
+
+    def forward(self, x):
+        return F.elu(self.conv(x))
+
+
+class DepthDecoder(nn.Module):
+    """Five levels of unit, nearest doubling, skip connection, unit; a disparity on the four finest."""
+
+    def __init__(self, encoder, widths):
+        super().__init__()
+        units, heads = [], [ReflectConv(widths[i], 1) for i in range(4)]
+        for i in range(4, -1, -1):
+            units.append(Unit(encoder[4] if i == 4 else widths[i + 1], widths[i]))
+            units.append(Unit(widths[i] + (encoder[i - 1] if i > 0 else 0), widths[i]))
+        self.decoder = nn.ModuleList(units + heads)
+
+    def forward(self, features):
+        """Disparities, finest first."""
+        x, disparities = features[4], []
+        for i in range(4, -1, -1):
+            x = F.interpolate(self.decoder[2 * (4 - i)](x), scale_factor=2, mode="nearest")
+            if i > 0:
+                x = torch.cat([x, features[i - 1]], 1)
+            x = self.decoder[2 * (4 - i) + 1](x)
+            if i < 4:
+                disparities.append(torch.sigmoid(self.decoder[10 + i](x)))
+        return disparities[::-1]
+
+
+class PoseDecoder(nn.Module):
+    """Four convolutions, mean over the map, factor 0.01: rotation vector and translation."""
+
+    def __init__(self, inputs, width):
+        super().__init__()
+        pad = [(inputs, width, 1, 0), (width, width, 3, 1), (width, width, 3, 1), (width, 6, 1, 0)]
+        self.net = nn.ModuleList(nn.Conv2d(ci, co, k, 1, p) for ci, co, k, p in pad)
+
+    def forward(self, x):
+        for conv in self.net[:3]:
+            x = F.relu(conv(x))
+        return 0.01 * self.net[3](x).mean((2, 3))
+
+
+class Encoder(nn.Module):
+    """A ResNet-18 under the name that it has in the checkpoints."""
+
+    def __init__(self, images, width):
+        super().__init__()
+        self.encoder = ResNet18(images, width)
+
+    def forward(self, images):
+        return self.encoder(images)
+
+
+class Monodepth(nn.Module):
+    """Both networks."""
+
+    def __init__(self, width, decoder, pose_width):
+        super().__init__()
+        widths = [width, width, 2 * width, 4 * width, 8 * width]
+        self.encoder, self.depth = Encoder(1, width), DepthDecoder(widths, decoder)
+        self.pose_encoder, self.pose = Encoder(2, width), PoseDecoder(widths[4], pose_width)
+
+    def disparities(self, images):
+        """Disparities of images, finest first."""
+        return self.depth(self.encoder(images))
+
+    def motions(self, first, second):
+        """Rotation vector and translation from the first to the second images, [n, 6]; the earlier ones are first."""
+        return self.pose(self.pose_encoder(torch.cat([first, second], 1))[4])
+
+
+def share_parameters(store, modules):
+    """Makes the parameters of modules, by file name, inputs of the case: the first variant's fresh ones, the same for all."""
+    for file, module in modules.items():
+        for name, parameter in module.named_parameters():
+            fresh = parameter.detach().clone().numpy()
+            with torch.no_grad():
+                parameter.copy_(store.input(f"{file}:{name}", tuple(parameter.shape), lambda rng, fresh=fresh: fresh))

@@ -1,0 +1,63 @@
+"""Batch norm and the element-wise and pooling pieces of the networks: forward, and forward with backward."""
+
+import torch
+import torch.nn.functional as F
+
+from store import memory_format
+
+
+def build(case, variant, store):
+    """`case`: name, op, and one shape [n, c, h, w] for each input."""
+    fmt = memory_format(variant["layout"])
+    inputs = [
+        store.normal(f"x{i}", tuple(shape)).contiguous(memory_format=fmt).requires_grad_() for i, shape in enumerate(case["shapes"])
+    ]
+    run = OPS[case["op"]](case, store, inputs)
+    y = run()
+    gy = store.normal("gy", tuple(y.shape)).contiguous(memory_format=fmt)
+
+    def forward():
+        with torch.no_grad():
+            return run()
+
+    def forward_backward():
+        for x in inputs:
+            x.grad = None
+        run().backward(gy)
+
+    forward_backward()
+    store.result("y", y)
+    for i, x in enumerate(inputs):
+        store.result(f"grad_x{i}", x.grad)
+    return {"forward": forward, "forward_backward": forward_backward}, {}
+
+
+def batch_norm(case, store, inputs):
+    """Batch norm in training, with running statistics; scale and offset take a gradient too."""
+    norm = torch.nn.BatchNorm2d(case["shapes"][0][1])
+    with torch.no_grad():
+        norm.weight.copy_(store.normal("scale", tuple(norm.weight.shape)))
+        norm.bias.copy_(store.normal("offset", tuple(norm.bias.shape)))
+
+    def run():
+        norm.weight.grad = norm.bias.grad = None
+        return norm(inputs[0])
+
+    return run
+
+
+def plain(function):
+    """An operation on the inputs without parameters."""
+    return lambda case, store, inputs: lambda: function(*inputs)
+
+
+OPS = {
+    "batch_norm": batch_norm,
+    "elu": plain(F.elu),
+    "relu": plain(F.relu),
+    "sigmoid": plain(torch.sigmoid),
+    "exp": plain(torch.exp),
+    "reflect_pad": plain(lambda x: F.pad(x, (1, 1, 1, 1), mode="reflect")),
+    "up2_concat": plain(lambda low, skip: torch.cat([F.interpolate(low, scale_factor=2, mode="nearest"), skip], 1)),
+    "max_pool": plain(lambda x: F.max_pool2d(x, 3, 2, 1)),
+}

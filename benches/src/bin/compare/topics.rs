@@ -1,0 +1,167 @@
+//! What can be compared: the cases of each topic and the ways in which PyTorch runs them.
+
+use anyhow::Result;
+use clap::ValueEnum;
+use dimode_autodiff::par;
+use dimode_benches::ours::conv::{ConvCase, SHAPES};
+use dimode_benches::ours::encoder::EncoderCase;
+use dimode_benches::ours::loss_core::LossCase;
+use dimode_benches::ours::pieces::PIECES;
+use dimode_benches::ours::step::StepCase;
+use dimode_benches::timing::{measure, median};
+use dimode_benches::{Case, Inputs, machine};
+use serde::Serialize;
+use serde_json::json;
+
+use super::duel::Variant;
+use super::peer::Allocator::{self, Default, Tuned};
+use super::tables::Table;
+
+/// Something that can be asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Topic {
+    /// Dense convolutions.
+    Conv,
+    /// Depth-wise convolutions.
+    Depthwise,
+    /// The loss core.
+    Loss,
+    /// Batch norm and point-wise pieces.
+    Norm,
+    /// The ResNet-18 encoder.
+    Encoder,
+    /// Whole training steps.
+    Step,
+    /// Peak memory of training steps.
+    Memory,
+    /// Share of the multiply-adds that the machine can do.
+    Peak,
+    /// Everything.
+    All,
+}
+
+/// Everything but `all`.
+const SINGLE: [Topic; 8] =
+    [Topic::Loss, Topic::Conv, Topic::Depthwise, Topic::Norm, Topic::Encoder, Topic::Step, Topic::Memory, Topic::Peak];
+
+/// The topics that were asked for, each once.
+pub fn chosen(asked: &[Topic], _rust_peers: bool) -> Vec<Topic> {
+    let all = asked.is_empty() || asked.contains(&Topic::All);
+    SINGLE.into_iter().filter(|topic| all || asked.contains(topic)).collect()
+}
+
+impl Topic {
+    /// Title of its tables.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::Conv => "Convolutions",
+            Self::Depthwise => "Depth-wise convolutions",
+            Self::Loss => "Loss core, forward and backward",
+            Self::Norm => "Batch norm and point-wise pieces",
+            Self::Encoder => "ResNet-18 encoder",
+            Self::Step => "Training step",
+            Self::Memory => "Peak memory",
+            Self::Peak => "Share of the peak",
+            Self::All => "Everything",
+        }
+    }
+
+    /// Its cases; some of them for a first look.
+    pub fn cases(self, quick: bool) -> Vec<Box<dyn Case>> {
+        let convs = |wanted: fn(&ConvCase) -> bool, step: usize| -> Vec<Box<dyn Case>> {
+            SHAPES.into_iter().filter(wanted).step_by(step).map(|case| Box::new(case) as Box<dyn Case>).collect()
+        };
+        match self {
+            Self::Conv => convs(|case| !case.is_depthwise(), if quick { 4 } else { 1 }),
+            Self::Depthwise => convs(ConvCase::is_depthwise, 1),
+            Self::Norm => {
+                PIECES.into_iter().step_by(if quick { 3 } else { 1 }).map(|case| Box::new(case) as Box<dyn Case>).collect()
+            }
+            Self::Loss => {
+                vec![1, 4].into_iter().take(if quick { 1 } else { 2 }).map(|b| boxed(LossCase::new(b, 192, 640))).collect()
+            }
+            Self::Encoder if quick => vec![boxed(EncoderCase::new(16, 4, 64, 192))],
+            Self::Encoder => vec![
+                boxed(EncoderCase::new(64, 1, 192, 640)),
+                boxed(EncoderCase::new(64, 4, 192, 640)),
+                boxed(EncoderCase::new(64, 4, 64, 192)),
+                boxed(EncoderCase::new(16, 4, 64, 192)),
+            ],
+            Self::Step if quick => vec![boxed(StepCase::nano(4))],
+            Self::Step => vec![boxed(StepCase::nano(4)), boxed(StepCase::monodepth2(1)), boxed(StepCase::monodepth2(4))],
+            Self::Memory | Self::Peak | Self::All => Vec::new(),
+        }
+    }
+
+    /// The ways in which PyTorch runs its cases.
+    pub fn variants(self, compile: bool) -> Vec<Variant> {
+        let layout = |allocator: Allocator, layout: &str| Variant { allocator, settings: json!({"layout": layout}) };
+        let mode = |allocator: Allocator, mode: &str| Variant { allocator, settings: json!({"mode": mode}) };
+        match self {
+            Self::Loss => {
+                let mut variants = vec![mode(Default, "eager"), mode(Tuned, "eager")];
+                variants.extend(compile.then(|| mode(Tuned, "compile")));
+                variants
+            }
+            Self::Norm => vec![layout(Default, "nchw"), layout(Tuned, "nchw")],
+            Self::Conv | Self::Depthwise => vec![
+                layout(Default, "nchw"),
+                layout(Tuned, "nchw"),
+                layout(Default, "channels_last"),
+                layout(Tuned, "channels_last"),
+            ],
+            _ => vec![layout(Default, "nchw"), layout(Tuned, "nchw"), layout(Tuned, "channels_last")],
+        }
+    }
+}
+
+fn boxed(case: impl Case + 'static) -> Box<dyn Case> {
+    Box::new(case)
+}
+
+/// The speed of a convolution beside the machine's.
+#[derive(Clone, Debug, Serialize)]
+pub struct Share {
+    /// Name of the case.
+    pub case: String,
+    /// Threads.
+    pub threads: usize,
+    /// Floating-point operations a second of the convolution forward.
+    pub reached: f64,
+    /// Most that the machine can do.
+    pub peak: f64,
+}
+
+/// Shares of the peak that the dense 3x3 convolutions without stride reach forward.
+///
+/// # Errors
+/// When a case cannot be built.
+pub fn shares(threads: &[usize]) -> Result<Vec<Share>> {
+    let mut shares = Vec::new();
+    for &threads in threads {
+        for case in SHAPES.into_iter().filter(|case| case.kernel == 3 && case.stride == 1 && !case.is_depthwise()) {
+            let mut ours = case.build(&Inputs::Drawn)?;
+            // The peak just before and after, since clocks change.
+            let (before, time, after) = par::with_threads(threads, || {
+                let before = machine::multiply_add_peak();
+                let time = median(&measure(ours.as_mut(), "forward", 0.3));
+                (before, time, machine::multiply_add_peak())
+            });
+            let (reached, peak) = (case.flops() / (1e-3 * time), before.max(after));
+            shares.push(Share { case: case.name.into(), threads, reached, peak });
+        }
+    }
+    Ok(shares)
+}
+
+/// The shares as a table.
+pub fn shares_table(shares: &[Share]) -> Table {
+    let heads = ["3x3 convolution forward", "threads", "Gflop/s", "peak", "share"];
+    let mut table = Table::new("Share of the measured multiply-add peak (asked: 40 %, aim 55 %, near the limit 75 %)", &heads);
+    for s in shares {
+        let giga = |x: f64| format!("{:.0}", 1e-9 * x);
+        let share = format!("{:.0} %", 100.0 * s.reached / s.peak);
+        table.push(vec![s.case.clone(), s.threads.to_string(), giga(s.reached), giga(s.peak), share]);
+    }
+    table
+}

@@ -1,0 +1,173 @@
+//! Convolutions of the networks: forward, backward to the input, backward to weight and bias.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Result;
+use dimode_autodiff::{Conv2d, Pool, Shape, Tape, Tensor};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::case::{Case, Ours, Results, input, seeded, timed};
+use crate::inputs::Inputs;
+
+/// Sizes of one convolution with square kernel, zero padding and bias.
+#[derive(Clone, Debug, Serialize)]
+#[allow(missing_docs)] // the names say it all
+pub struct ConvCase {
+    pub name: &'static str,
+    pub batch: usize,
+    pub inputs: usize,
+    pub outputs: usize,
+    pub height: usize,
+    pub width: usize,
+    pub kernel: usize,
+    pub stride: usize,
+    pub padding: usize,
+    pub dilation: usize,
+    pub groups: usize,
+}
+
+/// The shapes of ResNet-18, its decoder at 640 x 192, small networks, and two depth-wise ones.
+#[rustfmt::skip]
+pub const SHAPES: [ConvCase; 16] = [
+    shape("3x3 64-64 48x160", [1, 64, 64, 48, 160, 3, 1, 1, 1, 1]),
+    shape("7x7 stride 2 3-64 192x640", [1, 3, 64, 192, 640, 7, 2, 3, 1, 1]),
+    shape("1x1 64-256 24x80", [1, 64, 256, 24, 80, 1, 1, 0, 1, 1]),
+    shape("3x3 stride 2 64-128 48x160", [1, 64, 128, 48, 160, 3, 2, 1, 1, 1]),
+    shape("3x3 128-128 24x80", [1, 128, 128, 24, 80, 3, 1, 1, 1, 1]),
+    shape("3x3 256-256 12x40", [1, 256, 256, 12, 40, 3, 1, 1, 1, 1]),
+    shape("3x3 512-512 6x20", [1, 512, 512, 6, 20, 3, 1, 1, 1, 1]),
+    shape("3x3 16-16 192x640", [1, 16, 16, 192, 640, 3, 1, 1, 1, 1]),
+    shape("3x3 16-1 192x640", [1, 16, 1, 192, 640, 3, 1, 1, 1, 1]),
+    shape("3x3 32-16 96x320", [1, 32, 16, 96, 320, 3, 1, 1, 1, 1]),
+    shape("3x3 64-64 48x160 b4", [4, 64, 64, 48, 160, 3, 1, 1, 1, 1]),
+    shape("3x3 16-32 32x96 b4", [4, 16, 32, 32, 96, 3, 1, 1, 1, 1]),
+    shape("3x3 stride 2 3-16 64x192 b4", [4, 3, 16, 64, 192, 3, 2, 1, 1, 1]),
+    shape("3x3 8-8 64x192 b4", [4, 8, 8, 64, 192, 3, 1, 1, 1, 1]),
+    shape("depthwise 3x3 64 48x160", [1, 64, 64, 48, 160, 3, 1, 1, 1, 64]),
+    shape("depthwise 3x3 dilation 2 64 48x160", [1, 64, 64, 48, 160, 3, 1, 2, 2, 64]),
+];
+
+const fn shape(name: &'static str, sizes: [usize; 10]) -> ConvCase {
+    let [batch, inputs, outputs, height, width, kernel, stride, padding, dilation, groups] = sizes;
+    ConvCase { name, batch, inputs, outputs, height, width, kernel, stride, padding, dilation, groups }
+}
+
+impl ConvCase {
+    /// Whether every channel has a kernel of its own.
+    pub fn is_depthwise(&self) -> bool {
+        self.groups > 1
+    }
+
+    /// Whether the input is an image, whose gradient nobody needs.
+    pub fn reads_images(&self) -> bool {
+        self.inputs == 3
+    }
+
+    /// Floating-point operations forward.
+    pub fn flops(&self) -> f64 {
+        let out = self.options().output_shape(self.input_shape(), self.weight_shape());
+        2.0 * out.len() as f64 * (self.inputs / self.groups * self.kernel * self.kernel) as f64
+    }
+
+    fn options(&self) -> Conv2d {
+        let dilation = (self.dilation, self.dilation);
+        Conv2d { dilation, groups: self.groups, ..Conv2d::new(self.stride, self.padding) }
+    }
+
+    fn input_shape(&self) -> Shape {
+        Shape::new(self.batch, self.inputs, self.height, self.width)
+    }
+
+    fn weight_shape(&self) -> Shape {
+        Shape::new(self.outputs, self.inputs / self.groups, self.kernel, self.kernel)
+    }
+}
+
+impl Case for ConvCase {
+    fn topic(&self) -> &'static str {
+        "conv"
+    }
+
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn whats(&self) -> &'static [&'static str] {
+        if self.reads_images() { &["forward", "backward_weight"] } else { &["forward", "backward_data", "backward_weight"] }
+    }
+
+    fn spec(&self) -> Value {
+        json!(self)
+    }
+
+    fn build(&self, inputs: &Inputs) -> Result<Box<dyn Ours + Send>> {
+        let (xs, ws) = (self.input_shape(), self.weight_shape());
+        let out = self.options().output_shape(xs, ws);
+        Ok(Box::new(Conv {
+            x: inputs.tensor("x", xs)?,
+            weight: inputs.tensor("weight", ws)?,
+            bias: inputs.tensor("bias", Shape::new(1, self.outputs, 1, 1))?,
+            gy: inputs.tensor("gy", out)?,
+            options: self.options(),
+            pool: Pool::new(),
+        }))
+    }
+}
+
+struct Conv {
+    x: Tensor<f32>,
+    weight: Tensor<f32>,
+    bias: Tensor<f32>,
+    gy: Tensor<f32>,
+    options: Conv2d,
+    pool: Arc<Pool<f32>>,
+}
+
+impl Conv {
+    /// The time of the backward pass alone, and the gradients of input, weight and bias that were wanted.
+    fn backward(&self, data: bool, weight: bool) -> (Duration, [Option<Tensor<f32>>; 3]) {
+        let tape = Tape::with_pool(self.pool.clone());
+        let (x, w, b) = (input(&tape, &self.x, data), input(&tape, &self.weight, weight), input(&tape, &self.bias, weight));
+        let loss = seeded(x.conv2d(w, Some(b), self.options), &self.gy);
+        let mut gradients = None;
+        let time = timed(|| gradients = Some(tape.backward_and_free(loss)));
+        let gradients = gradients.expect("just computed");
+        (time, [x, w, b].map(|v| gradients.get(v).cloned()))
+    }
+}
+
+impl Ours for Conv {
+    fn repetition(&mut self, what: &str) -> Duration {
+        match what {
+            "forward" => {
+                let tape = Tape::with_pool(self.pool.clone());
+                let [x, w, b] = [&self.x, &self.weight, &self.bias].map(|v| tape.constant(v.clone()));
+                timed(|| x.conv2d(w, Some(b), self.options))
+            }
+            "backward_data" => self.backward(true, false).0,
+            "backward_weight" => self.backward(false, true).0,
+            "backward_both" => self.backward(true, true).0,
+            "forward_backward" => {
+                let tape = Tape::with_pool(self.pool.clone());
+                let [x, w, b] = [&self.x, &self.weight, &self.bias].map(|v| tape.leaf(v.clone()));
+                timed(|| tape.backward_and_free(seeded(x.conv2d(w, Some(b), self.options), &self.gy)))
+            }
+            _ => panic!("conv: nothing called '{what}'"),
+        }
+    }
+
+    fn results(&mut self) -> Results {
+        let tape = Tape::new();
+        let [x, w, b] = [&self.x, &self.weight, &self.bias].map(|v| tape.constant(v.clone()));
+        let y = x.conv2d(w, Some(b), self.options).value();
+        let (_, gradients) = self.backward(true, true);
+        let mut results = Results::default();
+        results.tensors.push(("y".into(), y, 1e-5));
+        for (name, gradient) in ["grad_x", "grad_weight", "grad_bias"].into_iter().zip(gradients) {
+            results.tensors.push((name.into(), gradient.expect("it was wanted"), 1e-4));
+        }
+        results
+    }
+}

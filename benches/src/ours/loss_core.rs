@@ -1,0 +1,202 @@
+//! The loss core, forward and backward: the four geometric losses of one pair in their printed form, the photometric part of two
+//! sources with smoothness, and both together.
+//!
+//! Gradients go to the depth of the target and of one source, and to rotation and translation of both sources.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Result;
+use dimode::batch::join;
+use dimode::losses::min_reprojection::min_reprojection;
+use dimode::losses::photometric::{photometric, photometric_value};
+use dimode::losses::smoothness::smoothness;
+use dimode_autodiff::ops::bilinear_sample::SamplePadding;
+use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
+use dimode_geometry::Intrinsics;
+use dimode_geometry::losses::{AlignedPair, LossOptions, PairInputs, axial, planar, radial, tangential};
+use dimode_geometry::taped;
+use serde_json::{Value, json};
+
+use crate::camera::camera;
+use crate::case::{Case, Ours, Results, timed};
+use crate::inputs::Inputs;
+
+/// Names and weights of the terms; the first four are geometric.
+const TERMS: [(&str, f64); 6] = [("pla", 0.05), ("axi", 0.05), ("tan", 0.1), ("rad", 0.1), ("photo", 1.0), ("smooth", 1e-3)];
+/// Largest relative differences of the terms' gradients between two programs in f32, and that of their sums. Ratios divide by small
+/// flows. The slope of bilinear reading jumps at whole pixels, which rounding places differently.
+const ACCEPTED: [f64; 6] = [1e-4, 1e-4, 5e-3, 5e-3, 2e-2, 1e-5];
+const ACCEPTED_OF_SUM: f64 = 2e-2;
+/// Names of what takes a gradient.
+const LEAVES: [&str; 4] = ["depth_t", "depth_s", "rotation", "translation"];
+
+/// The loss core at one image size.
+#[derive(Clone, Debug)]
+pub struct LossCase {
+    name: String,
+    batch: usize,
+    height: usize,
+    width: usize,
+}
+
+impl LossCase {
+    /// The loss core of a batch of images.
+    pub fn new(batch: usize, height: usize, width: usize) -> Self {
+        Self { name: format!("loss core {width}x{height} b{batch}"), batch, height, width }
+    }
+}
+
+impl Case for LossCase {
+    fn topic(&self) -> &'static str {
+        "loss_core"
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn whats(&self) -> &'static [&'static str] {
+        &["all", "geom", "photo"]
+    }
+
+    fn spec(&self) -> Value {
+        json!({"name": self.name, "batch": self.batch, "height": self.height, "width": self.width})
+    }
+
+    fn build(&self, inputs: &Inputs) -> Result<Box<dyn Ours + Send>> {
+        let (n, h, w) = (self.batch, self.height, self.width);
+        let image = |name| inputs.tensor(name, Shape::new(n, 3, h, w));
+        let map = |name| inputs.tensor(name, Shape::new(n, 1, h, w));
+        let target = image("target")?;
+        Ok(Box::new(LossCore {
+            leaves: [
+                map("depth_t")?,
+                map("depth_s")?,
+                inputs.tensor("rotation", Shape::new(2 * n, 1, 3, 3))?,
+                inputs.tensor("translation", Shape::new(2 * n, 3, 1, 1))?,
+            ],
+            flow: inputs.tensor("flow", Shape::new(n, 2, h, w))?,
+            mask: map("mask")?,
+            targets: join(&[&target, &target]),
+            target,
+            sources: join(&[&image("previous")?, &image("next")?]),
+            cameras: vec![camera(inputs, h, w)?; 2 * n],
+            pool: Pool::new(),
+        }))
+    }
+}
+
+struct LossCore {
+    leaves: [Tensor<f32>; 4],
+    flow: Tensor<f32>,
+    mask: Tensor<f32>,
+    target: Tensor<f32>,
+    /// The target once for each source.
+    targets: Tensor<f32>,
+    /// Both sources, the previous ones first.
+    sources: Tensor<f32>,
+    /// Cameras of the stacked samples.
+    cameras: Vec<Intrinsics>,
+    pool: Arc<Pool<f32>>,
+}
+
+impl LossCore {
+    fn samples(&self) -> usize {
+        self.target.shape().n()
+    }
+
+    /// L_pla, L_axi, L_tan and L_rad of the first source, as `objective/geometric.rs` measures them.
+    fn geometric<'t>(&self, [target_depth, source_depth, rotation, translation]: [Var<'t, f32>; 4]) -> [Var<'t, f32>; 4] {
+        let n = self.samples();
+        let inputs = PairInputs {
+            target_depth,
+            source_depth,
+            flow: target_depth.tape().constant(self.flow.clone()),
+            rotation: rotation.slice(0, 0, n),
+            translation: translation.slice(0, 0, n),
+            intrinsics: &self.cameras[..n],
+            mask: &self.mask,
+        };
+        let options = LossOptions::literal();
+        let pair = AlignedPair::new(&inputs, &options);
+        [planar, axial, tangential, radial].map(|loss| loss(&pair, &options).mean)
+    }
+
+    /// Minimum reprojection with auto-mask as `objective/photometric.rs` measures it, and smoothness.
+    fn photometric<'t>(&self, [depth, _, rotation, translation]: [Var<'t, f32>; 4]) -> [Var<'t, f32>; 2] {
+        let (n, tape) = (self.samples(), depth.tape());
+        let identity = photometric_value(&self.sources, &self.targets);
+        let half = |at: usize| {
+            let shape = Shape::new(n, 1, identity.shape().h(), identity.shape().w());
+            Tensor::from_vec(shape, identity.data()[at * shape.len()..][..shape.len()].to_vec())
+        };
+        let rigid = taped::rigid_flow(Var::concat(&[depth, depth], 0), rotation, translation, &self.cameras);
+        let warped = taped::warp(tape.constant(self.sources.clone()), rigid.slice(1, 0, 2), SamplePadding::Border);
+        let error = photometric(warped, tape.constant(self.targets.clone()));
+        let best = min_reprojection(&[error.slice(0, 0, n), error.slice(0, n, n)], &[half(0), half(1)]);
+        [best.error.mean(), smoothness(depth.recip(), &self.target)]
+    }
+
+    /// The terms of a part with their weights, in the order of [`TERMS`].
+    fn terms<'t>(&self, part: &str, leaves: [Var<'t, f32>; 4]) -> Vec<Var<'t, f32>> {
+        match part {
+            "geom" => self.geometric(leaves).to_vec(),
+            "photo" => self.photometric(leaves).to_vec(),
+            "all" => [&self.geometric(leaves)[..], &self.photometric(leaves)].concat(),
+            _ => panic!("loss core: nothing called '{part}'"),
+        }
+    }
+
+    fn leaves<'t>(&self, tape: &'t Tape<f32>) -> [Var<'t, f32>; 4] {
+        self.leaves.each_ref().map(|value| tape.leaf(value.clone()))
+    }
+}
+
+/// The weights of a part's terms.
+fn weights(part: &str) -> &'static [(&'static str, f64)] {
+    match part {
+        "geom" => &TERMS[..4],
+        "photo" => &TERMS[4..],
+        _ => &TERMS,
+    }
+}
+
+fn total<'t>(part: &str, terms: &[Var<'t, f32>]) -> Var<'t, f32> {
+    let weighted = terms.iter().zip(weights(part)).map(|(term, (_, weight))| term.scale(*weight));
+    weighted.reduce(Var::add).expect("every part has terms")
+}
+
+impl Ours for LossCore {
+    fn repetition(&mut self, what: &str) -> Duration {
+        let tape = Tape::with_pool(self.pool.clone());
+        let leaves = self.leaves(&tape);
+        timed(|| tape.backward_and_free(total(what, &self.terms(what, leaves))))
+    }
+
+    fn results(&mut self) -> Results {
+        let mut results = Results::default();
+        let tape = Tape::new();
+        let leaves = self.leaves(&tape);
+        let terms = self.terms("all", leaves);
+        let mut gradients_of = |name: &str, loss, tolerance| {
+            let gradients = tape.backward(loss);
+            for (leaf, var) in LEAVES.into_iter().zip(leaves) {
+                if let Some(gradient) = gradients.get(var) {
+                    results.tensors.push((format!("{name}_grad_{leaf}"), gradient.clone(), tolerance));
+                }
+            }
+        };
+        for ((&(name, _), &term), accepted) in TERMS.iter().zip(&terms).zip(ACCEPTED) {
+            gradients_of(name, term, accepted);
+        }
+        for part in ["geom", "photo", "all"] {
+            let chosen = if part == "geom" { &terms[..4] } else { &terms[4..] };
+            gradients_of(part, total(part, if part == "all" { &terms } else { chosen }), ACCEPTED_OF_SUM);
+        }
+        for ((name, _), term) in TERMS.iter().zip(&terms) {
+            results.values.push(((*name).into(), f64::from(term.value().item()), 1e-5));
+        }
+        results
+    }
+}

@@ -1,0 +1,7 @@
+//! The computations of this project that are timed.
+
+pub mod conv;
+pub mod encoder;
+pub mod loss_core;
+pub mod pieces;
+pub mod step;
