@@ -1,10 +1,13 @@
-//! Whole training steps of the nano networks at 128 x 64, one in each stage.
+//! Whole training steps: of the nano networks at 128 x 64, one in each stage; in the manner of Monodepth2 with networks of a quarter
+//! of its width at 192 x 64, and of its full size at 640 x 192.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dimode::config::{Config, FirstWeights};
 use dimode::model::Model;
 use dimode::optim::adamw::State;
 use dimode::trainer::Trainer;
+use dimode_benches::criteria::bench_case;
+use dimode_benches::ours::step::StepCase;
 use dimode_benches::rendered_batch;
 
 fn steps(c: &mut Criterion) {
@@ -24,5 +27,11 @@ fn steps(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, steps);
+fn monodepth2(c: &mut Criterion) {
+    for case in [StepCase::nano(4), StepCase::monodepth2(1)] {
+        bench_case(c, &case);
+    }
+}
+
+criterion_group!(benches, steps, monodepth2);
 criterion_main!(benches);

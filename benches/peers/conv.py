@@ -30,10 +30,18 @@ def build(case, variant, store):
     grad_x, grad_weight, grad_bias = backward([True, True, True])
     for name, tensor in (("y", y), ("grad_x", grad_x), ("grad_weight", grad_weight), ("grad_bias", grad_bias)):
         store.result(name, tensor)
+    leaves = [tensor.detach().clone(memory_format=torch.preserve_format).requires_grad_() for tensor in (x, weight, bias)]
+
+    def forward_backward():
+        for leaf in leaves:
+            leaf.grad = None
+        F.conv2d(*leaves, s, p, d, g).backward(gy)
+
     timed = {
         "forward": forward,
         "backward_data": lambda: backward([True, False, False]),
         "backward_weight": lambda: backward([False, True, True]),
         "backward_both": lambda: backward([True, True, True]),
+        "forward_backward": forward_backward,
     }
     return timed, {}

@@ -4,6 +4,7 @@
 
 pub mod camera;
 pub mod case;
+pub mod criteria;
 pub mod inputs;
 pub mod machine;
 pub mod ours;

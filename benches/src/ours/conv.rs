@@ -71,6 +71,12 @@ impl ConvCase {
         2.0 * out.len() as f64 * (self.inputs / self.groups * self.kernel * self.kernel) as f64
     }
 
+    /// Bytes that must be read or written forward: input, weight, output.
+    pub fn bytes(&self) -> f64 {
+        let out = self.options().output_shape(self.input_shape(), self.weight_shape());
+        4.0 * (self.input_shape().len() + self.weight_shape().len() + out.len()) as f64
+    }
+
     fn options(&self) -> Conv2d {
         let dilation = (self.dilation, self.dilation);
         Conv2d { dilation, groups: self.groups, ..Conv2d::new(self.stride, self.padding) }

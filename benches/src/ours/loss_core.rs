@@ -45,6 +45,11 @@ impl LossCase {
     pub fn new(batch: usize, height: usize, width: usize) -> Self {
         Self { name: format!("loss core {width}x{height} b{batch}"), batch, height, width }
     }
+
+    /// Bytes that must be read or written: three images, two depths, flow and mask, and the gradients of the depths.
+    pub fn bytes(&self) -> f64 {
+        4.0 * (self.batch * self.height * self.width * (3 * 3 + 2 + 2 + 1 + 2)) as f64
+    }
 }
 
 impl Case for LossCase {

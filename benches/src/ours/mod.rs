@@ -3,5 +3,6 @@
 pub mod conv;
 pub mod encoder;
 pub mod loss_core;
+pub mod networks;
 pub mod pieces;
 pub mod step;

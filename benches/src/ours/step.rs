@@ -56,6 +56,35 @@ impl StepCase {
         Self { name, width, decoder, pose_width: 4 * width, batch, height, img_width }
     }
 
+    /// Floating-point operations of the convolutions of a step: forward, and twice as many backward. The pose encoder sees both
+    /// sources.
+    pub fn flops(&self) -> f64 {
+        let pixels = (self.height * self.img_width) as f64;
+        let w = self.width as f64;
+        // Per pixel of the image: kernel area x inputs x outputs / pixels of the input for each of the output.
+        let encoder = |images: f64| {
+            let stem = 49.0 * 3.0 * images * w / 4.0;
+            let layer = |level: i32| {
+                let (width, area) = (w * f64::from(1 << level), 16.0 * 4.0_f64.powi(level));
+                let first = if level == 0 { 9.0 * w * w } else { (9.0 + 1.0) * width * width / 2.0 };
+                (first + 3.0 * 9.0 * width * width) / area
+            };
+            stem + (0..4).map(layer).sum::<f64>()
+        };
+        let skips = [0.0, w, w, 2.0 * w, 4.0 * w];
+        let decoder = |level: usize| {
+            let out = self.decoder[level] as f64;
+            let below = if level == 4 { 8.0 * w } else { self.decoder[level + 1] as f64 };
+            let head = if level < 4 { 9.0 * out } else { 0.0 };
+            let area = 4.0_f64.powi(level as i32);
+            9.0 * below * out / (4.0 * area) + (9.0 * (out + skips[level]) * out + head) / area
+        };
+        let p = self.pose_width as f64;
+        let pose = encoder(2.0) + (8.0 * w * p + 18.0 * p * p + 6.0 * p) / 1024.0;
+        let forward = encoder(1.0) + (0..5).map(decoder).sum::<f64>() + 2.0 * pose;
+        3.0 * 2.0 * forward * pixels * self.batch as f64
+    }
+
     fn model(&self, config: &Config) -> Model {
         let depth = ResNetDepthConfig { encoder: resnet18(1, self.width), decoder: self.decoder, scales: vec![0, 1, 2, 3] };
         let pose = ResNetPoseConfig { encoder: resnet18(2, self.width), decoder: self.pose_width, frames: 1 };

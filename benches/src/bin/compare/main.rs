@@ -7,6 +7,7 @@ mod duel;
 mod goals;
 mod memory;
 mod peer;
+mod rust_peers;
 mod tables;
 mod topics;
 
@@ -96,7 +97,13 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
         fs::write(path, &text).with_context(|| format!("cannot write {}", path.display()))?;
     }
     if let Some(path) = &arguments.json {
-        let all = json!({"machine": report.machine, "rows": report.rows, "memory": report.peaks, "shares": report.shares});
+        let all = json!({
+            "machine": report.machine,
+            "rows": report.rows,
+            "memory": report.peaks,
+            "allocations": report.allocations,
+            "shares": report.shares
+        });
         fs::write(path, serde_json::to_string_pretty(&all)?).with_context(|| format!("cannot write {}", path.display()))?;
     }
     Ok(ExitCode::SUCCESS)
@@ -116,6 +123,7 @@ struct Report {
     tables: Vec<Table>,
     rows: Vec<Row>,
     peaks: Vec<memory::Peak>,
+    allocations: Vec<memory::Allocations>,
     shares: Vec<topics::Share>,
 }
 
@@ -142,12 +150,20 @@ fn measure(arguments: &Arguments, chosen: &[Topic], python: &Path, peers: &mut P
             let variants = topic.variants(!arguments.quick && !arguments.no_compile);
             rows.extend(duel::duel(case.as_ref(), &variants, &effort, folder.path(), peers)?);
         }
+        if topic == Topic::RustPeers {
+            rows = rust_peers::compare(&effort, folder.path(), peers, &only, arguments.quick)?;
+            report.tables.push(rust_peers::best_table(&rows));
+        }
         report.tables.extend(tables::of_rows(topic.title(), &rows));
         report.rows.extend(rows);
         match topic {
             Topic::Memory => {
                 report.peaks = memory::measure(python, arguments.threads[0], arguments.quick)?;
                 report.tables.push(memory::table(&report.peaks));
+            }
+            Topic::Allocations => {
+                report.allocations = memory::allocations(arguments.threads[0])?;
+                report.tables.push(memory::allocations_table(&report.allocations));
             }
             Topic::Peak => {
                 report.shares = topics::shares(&arguments.threads)?;

@@ -1,4 +1,4 @@
-//! Peak memory of some training steps, a fresh process for each side.
+//! Peak memory of some training steps, a fresh process for each side, and allocations in steady state.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,7 +7,7 @@ use anyhow::{Context, Result, ensure};
 use dimode_autodiff::par;
 use dimode_benches::ours::step::StepCase;
 use dimode_benches::{Case, Inputs, machine};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::peer::{Allocator, scripts};
@@ -103,6 +103,49 @@ pub fn table(peaks: &[Peak]) -> Table {
             format!("{:.0}", beyond(peak)),
             format!("{:.2}", beyond(peak) / beyond(ours)),
         ]);
+    }
+    table
+}
+
+/// What one repetition takes from the heap in steady state.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Allocations {
+    /// Name of the case.
+    case: String,
+    /// What of it.
+    what: String,
+    /// Bytes of all allocations.
+    bytes: u64,
+    /// Number of allocations.
+    allocations: u64,
+}
+
+/// Runs the program that counts allocations.
+///
+/// # Errors
+/// When it cannot be built or fails.
+pub fn allocations(threads: usize) -> Result<Vec<Allocations>> {
+    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
+    let manifest = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
+    let mut command = Command::new(cargo);
+    command.args(["run", "--quiet", "--release", "--manifest-path", manifest, "--bin", "allocations", "--"]);
+    let output = command.arg(threads.to_string()).output().context("cannot run cargo")?;
+    ensure!(output.status.success(), "allocations: {}", String::from_utf8_lossy(&output.stderr));
+    Ok(serde_json::from_slice(&output.stdout)?)
+}
+
+/// The allocations as a table.
+pub fn allocations_table(found: &[Allocations]) -> Table {
+    let heads = ["case", "allocations", "KiB together", "of 64 KiB or more, at most"];
+    let mut table = Table::new("Heap allocations of one repetition in steady state (asked: none of 64 KiB or more)", &heads);
+    for a in found {
+        let cells = [
+            format!("{}, {}", a.case, a.what),
+            a.allocations.to_string(),
+            format!("{:.0}", a.bytes as f64 / 1024.0),
+            (a.bytes / (64 * 1024)).to_string(),
+        ];
+        table.push(cells.to_vec());
     }
     table
 }

@@ -1,4 +1,4 @@
-//! A PyTorch process that waits for requests, one JSON object a line.
+//! A process, PyTorch's as a rule, that waits for requests, one JSON object a line.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
@@ -20,6 +20,8 @@ pub enum Allocator {
     Default,
     /// Memory is kept.
     Tuned,
+    /// Not PyTorch: the program of the Rust peers, with what it uses itself.
+    RustPeers,
 }
 
 impl Allocator {
@@ -28,6 +30,7 @@ impl Allocator {
         match self {
             Self::Default => "default",
             Self::Tuned => "tuned",
+            Self::RustPeers => "rust",
         }
     }
 
@@ -44,7 +47,7 @@ pub struct Peer {
     child: Child,
     stdin: ChildStdin,
     stdout: BufReader<ChildStdout>,
-    /// Version of PyTorch.
+    /// Version of its library.
     pub version: String,
 }
 
@@ -56,12 +59,21 @@ impl Peer {
     pub fn start(python: &Path, allocator: Allocator) -> Result<Self> {
         let mut command = Command::new(python);
         allocator.apply(&mut command);
-        command.arg(scripts().join("server.py")).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
-        let mut child = command.spawn().with_context(|| format!("cannot start {}", python.display()))?;
+        command.arg(scripts().join("server.py")).env("PYTHONDONTWRITEBYTECODE", "1");
+        Self::spawn(command).with_context(|| format!("{} cannot run torch", python.display()))
+    }
+
+    /// Starts a program that answers requests, and waits for its first answer.
+    ///
+    /// # Errors
+    /// When it cannot be started or does not answer.
+    pub fn spawn(mut command: Command) -> Result<Self> {
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut child = command.spawn().with_context(|| format!("cannot start {}", command.get_program().display()))?;
         let stdin = child.stdin.take().context("no way to write to the peer")?;
         let stdout = BufReader::new(child.stdout.take().context("no way to read from the peer")?);
         let mut peer = Self { child, stdin, stdout, version: String::new() };
-        let hello = peer.ask(&json!({"do": "hello"})).with_context(|| format!("{} has no torch", python.display()))?;
+        let hello = peer.ask(&json!({"do": "hello"}))?;
         peer.version = hello["torch"].as_str().unwrap_or("?").to_owned();
         Ok(peer)
     }

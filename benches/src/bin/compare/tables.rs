@@ -74,7 +74,7 @@ fn of_threads(title: &str, threads: usize, rows: &[&Row]) -> Table {
     let mut heads = vec!["case".to_owned(), "ours, ms".to_owned()];
     heads.extend(variants.iter().map(|variant| format!("/ {variant}")));
     let mut table = Table {
-        title: format!("{title}, {threads} thread{}: time of PyTorch / ours", if threads == 1 { "" } else { "s" }),
+        title: format!("{title}, {threads} thread{}: time of the peer / ours", if threads == 1 { "" } else { "s" }),
         heads,
         cells: Vec::new(),
     };

@@ -34,20 +34,35 @@ pub enum Topic {
     Step,
     /// Peak memory of training steps.
     Memory,
+    /// Heap allocations of our steps in steady state.
+    Allocations,
     /// Share of the multiply-adds that the machine can do.
     Peak,
+    /// Convolutions of other Rust libraries, whose program is built first; part of `all` with --rust-peers only.
+    RustPeers,
     /// Everything.
     All,
 }
 
 /// Everything but `all`.
-const SINGLE: [Topic; 8] =
-    [Topic::Loss, Topic::Conv, Topic::Depthwise, Topic::Norm, Topic::Encoder, Topic::Step, Topic::Memory, Topic::Peak];
+const SINGLE: [Topic; 9] = [
+    Topic::Loss,
+    Topic::Conv,
+    Topic::Depthwise,
+    Topic::Norm,
+    Topic::Encoder,
+    Topic::Step,
+    Topic::Memory,
+    Topic::Allocations,
+    Topic::Peak,
+];
 
 /// The topics that were asked for, each once.
-pub fn chosen(asked: &[Topic], _rust_peers: bool) -> Vec<Topic> {
+pub fn chosen(asked: &[Topic], rust_peers: bool) -> Vec<Topic> {
     let all = asked.is_empty() || asked.contains(&Topic::All);
-    SINGLE.into_iter().filter(|topic| all || asked.contains(topic)).collect()
+    let mut topics: Vec<_> = SINGLE.into_iter().filter(|topic| all || asked.contains(topic)).collect();
+    topics.extend((rust_peers || asked.contains(&Topic::RustPeers)).then_some(Topic::RustPeers));
+    topics
 }
 
 impl Topic {
@@ -61,7 +76,9 @@ impl Topic {
             Self::Encoder => "ResNet-18 encoder",
             Self::Step => "Training step",
             Self::Memory => "Peak memory",
+            Self::Allocations => "Allocations",
             Self::Peak => "Share of the peak",
+            Self::RustPeers => "Convolutions of other Rust libraries",
             Self::All => "Everything",
         }
     }
@@ -89,7 +106,7 @@ impl Topic {
             ],
             Self::Step if quick => vec![boxed(StepCase::nano(4))],
             Self::Step => vec![boxed(StepCase::nano(4)), boxed(StepCase::monodepth2(1)), boxed(StepCase::monodepth2(4))],
-            Self::Memory | Self::Peak | Self::All => Vec::new(),
+            Self::Memory | Self::Allocations | Self::Peak | Self::RustPeers | Self::All => Vec::new(),
         }
     }
 
