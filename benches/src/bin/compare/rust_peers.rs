@@ -51,7 +51,8 @@ fn program() -> Result<PathBuf> {
     eprintln!("  building {} (some minutes at the first time)", folder.display());
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
     let mut command = Command::new(cargo);
-    let target = folder.join("target");
+    let target =
+        std::env::var_os("CARGO_TARGET_DIR").map_or(folder.join("target"), |shared| Path::new(&shared).join("rust-peers"));
     command.args(["build", "--quiet", "--release", "--manifest-path"]).arg(folder.join("Cargo.toml"));
     let status = command.arg("--target-dir").arg(&target).status().context("cannot run cargo")?;
     ensure!(status.success(), "the Rust peers could not be built");
