@@ -6,8 +6,16 @@ use crate::simd::Wide;
 
 /// Coefficients of `arccos(x) / sqrt(1 - x)` for `0 <= x <= 1`, constant first; error of the angle below 2e-8
 /// [Abramowitz and Stegun, Handbook of Mathematical Functions, 4.4.46].
-const COEFFICIENTS: [f32; 8] =
-    [1.570_796_3, -0.214_598_8, 0.088_978_99, -0.050_174_305, 0.030_891_88, -0.017_088_126, 0.006_670_09, -0.001_262_491_1];
+const COEFFICIENTS: [f32; 8] = [
+    std::f32::consts::FRAC_PI_2,
+    -0.214_598_8,
+    0.088_978_99,
+    -0.050_174_305,
+    0.030_891_88,
+    -0.017_088_126,
+    0.006_670_09,
+    -0.001_262_491_1,
+];
 
 /// The polynomial, with `arccos(-x) = pi - arccos(x)`.
 #[inline(always)]

@@ -29,15 +29,16 @@ struct Turn<S: Simd, T: Scalar> {
     y: Wide<S, T>,
 }
 
+/// Coordinates of a ray where the flow ends, and `n`.
+type Ray<S, T> = ([Wide<S, T>; 2], [Wide<S, T>; 3]);
+
 impl<S: Simd, T: Scalar> Turn<S, T> {
     #[inline(always)]
     fn new(simd: S, sample: &Sample<T>, rows: &Rows<'_, T>) -> Self {
         let zero = Wide::splat(simd, T::ZERO);
         let mut e = [[zero; 3]; 3];
-        for i in 0..3 {
-            for j in 0..3 {
-                e[i][j] = Wide::splat(simd, sample.motion.e[i][j]);
-            }
+        for (e, &entry) in e.iter_mut().flatten().zip(sample.motion.e.iter().flatten()) {
+            *e = Wide::splat(simd, entry);
         }
         let [fu, fv] = sample.inverse_focal;
         let inverse_focal = [Wide::splat(simd, fu), Wide::splat(simd, fv)];
@@ -46,7 +47,7 @@ impl<S: Simd, T: Scalar> Turn<S, T> {
 
     /// The ray where the flow ends, and `n`.
     #[inline(always)]
-    fn of(&self, x: Wide<S, T>, dx: Wide<S, T>, dy: Wide<S, T>) -> ([Wide<S, T>; 2], [Wide<S, T>; 3]) {
+    fn of(&self, x: Wide<S, T>, dx: Wide<S, T>, dy: Wide<S, T>) -> Ray<S, T> {
         let (xs, ys) = (x + dx, self.y + dy);
         let [e0, e1, e2] = self.e;
         let ex = e0[0].mul_add(xs, e0[1].mul_add(ys, e0[2]));
