@@ -64,6 +64,12 @@ struct Arguments {
     peak_memory_of: Option<usize>,
 }
 
+impl Arguments {
+    fn rounds(&self) -> usize {
+        if self.quick { self.rounds.min(3) } else { self.rounds }
+    }
+}
+
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let outcome = match arguments.peak_memory_of {
@@ -138,8 +144,8 @@ impl Report {
 }
 
 fn measure(arguments: &Arguments, chosen: &[Topic], python: &Path, peers: &mut Peers) -> Result<Report> {
-    let (rounds, seconds) = if arguments.quick { (arguments.rounds.min(3), 0.03) } else { (arguments.rounds, 0.1) };
-    let effort = Effort { threads: arguments.threads.clone(), rounds, seconds };
+    let seconds = if arguments.quick { 0.03 } else { 0.1 };
+    let effort = Effort { threads: arguments.threads.clone(), rounds: arguments.rounds(), seconds };
     let folder = tempfile::tempdir()?;
     let only = |name: &str| arguments.only.as_ref().is_none_or(|part| name.contains(part.as_str()));
     let mut report = Report::default();
@@ -185,7 +191,7 @@ fn machine_text(peers: &Peers, arguments: &Arguments) -> String {
         "{} ({}), load {load}; PyTorch {version}; {} rounds, threads {:?}; numbers agreed before anything was timed.\n",
         machine::processor(),
         machine::instructions(),
-        arguments.rounds,
+        arguments.rounds(),
         arguments.threads
     )
 }
