@@ -1,5 +1,5 @@
-//! Whole training steps: of the nano networks at 128 x 64, one in each stage; in the manner of Monodepth2 with networks of a quarter
-//! of its width at 192 x 64, and of its full size at 640 x 192.
+//! Whole training steps: of the nano networks at 128 x 64, one in each stage; in the manner of Monodepth2 with networks of a
+//! quarter of its width at 192 x 64, and of its full size at 640 x 192.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dimode::config::{Config, FirstWeights};

@@ -8,9 +8,8 @@ from store import memory_format
 
 def build(case, variant, store):
     """`case`: name, batch, inputs, outputs, height, width, kernel, stride, padding, dilation, groups."""
-    n, ci, co, h, w, k, s, p, d, g = (
-        case[key] for key in ("batch", "inputs", "outputs", "height", "width", "kernel", "stride", "padding", "dilation", "groups")
-    )
+    names = ("batch", "inputs", "outputs", "height", "width", "kernel", "stride", "padding", "dilation", "groups")
+    n, ci, co, h, w, k, s, p, d, g = (case[name] for name in names)
     fmt = memory_format(variant["layout"])
     x = store.normal("x", (n, ci, h, w)).contiguous(memory_format=fmt)
     # Outputs of the size of the inputs, as in a trained network.

@@ -80,8 +80,8 @@ def build(case, variant, store):
 
 
 def well_conditioned(rng, camera, depth_s, flow, rotation, translation):
-    """A mask of four pixels in five: smooth gaps for what moves or is hidden, and none of the pixels where the printed terms divide
-    by almost zero, so that numbers of different programs can be compared at all in f32.
+    """A mask with smooth gaps for what moves or is hidden, and without the pixels where the printed terms divide by almost zero:
+    there, numbers of different programs cannot be compared in f32.
     """
     n, _, h, w = depth_s.shape
     with torch.no_grad():

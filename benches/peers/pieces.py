@@ -9,9 +9,8 @@ from store import memory_format
 def build(case, variant, store):
     """`case`: name, op, and one shape [n, c, h, w] for each input."""
     fmt = memory_format(variant["layout"])
-    inputs = [
-        store.normal(f"x{i}", tuple(shape)).contiguous(memory_format=fmt).requires_grad_() for i, shape in enumerate(case["shapes"])
-    ]
+    inputs = [store.normal(f"x{i}", tuple(shape)) for i, shape in enumerate(case["shapes"])]
+    inputs = [x.contiguous(memory_format=fmt).requires_grad_() for x in inputs]
     run = OPS[case["op"]](case, store, inputs)
     y = run()
     gy = store.normal("gy", tuple(y.shape)).contiguous(memory_format=fmt)

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""One training step in the manner of Monodepth2: networks, minimum reprojection with auto-mask and smoothness on four scales, Adam.
+"""One training step as Monodepth2 has it: networks, minimum reprojection with auto-mask and smoothness on four scales, Adam.
 
 As a program it takes a few steps of one size and prints its peak memory:
 

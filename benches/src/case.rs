@@ -49,8 +49,8 @@ pub fn timed<R>(run: impl FnOnce() -> R) -> Duration {
     start.elapsed()
 }
 
-/// A scalar whose gradient with respect to `y` is the given one: `<gradient, y>` without its value, so that a backward pass from a
-/// known gradient costs nothing beside it.
+/// A scalar whose gradient with respect to `y` is the given one: `<gradient, y>` without its value, so that a backward pass
+/// from a known gradient costs nothing beside it.
 pub fn seeded<'t>(y: Var<'t, f32>, gradient: &Tensor<f32>) -> Var<'t, f32> {
     assert!(y.shape() == gradient.shape(), "seeded: {} and {} differ", y.shape(), gradient.shape());
     let gradient = gradient.clone();

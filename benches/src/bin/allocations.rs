@@ -1,8 +1,8 @@
 //! What one training step, and the loss core, take from the heap in steady state.
 //!
 //! Prints one JSON array; `compare allocations` makes a table of it. A program of its own, because the allocator that counts is
-//! slower. It knows numbers and bytes, not the size of each allocation: bytes / 64 KiB is an upper bound of how many can have been
-//! of 64 KiB or more, and 0 proves that there was none.
+//! slower. It knows numbers and bytes, not the size of each allocation: bytes / 64 KiB is an upper bound of how many can have
+//! been of 64 KiB or more, and 0 proves that there was none.
 
 use std::alloc::System;
 

@@ -24,8 +24,8 @@ use crate::inputs::Inputs;
 
 /// Names and weights of the terms; the first four are geometric.
 const TERMS: [(&str, f64); 6] = [("pla", 0.05), ("axi", 0.05), ("tan", 0.1), ("rad", 0.1), ("photo", 1.0), ("smooth", 1e-3)];
-/// Largest relative differences of the terms' gradients between two programs in f32, and that of their sums. Ratios divide by small
-/// flows. The slope of bilinear reading jumps at whole pixels, which rounding places differently.
+/// Largest relative differences of the terms' gradients between two programs in f32, and that of their sums. Ratios divide by
+/// small flows. The slope of bilinear reading jumps at whole pixels, which rounding places differently.
 const ACCEPTED: [f64; 6] = [1e-4, 1e-4, 5e-3, 5e-3, 2e-2, 1e-5];
 const ACCEPTED_OF_SUM: f64 = 2e-2;
 /// Names of what takes a gradient.

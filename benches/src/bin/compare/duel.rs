@@ -149,8 +149,8 @@ pub fn duel(case: &dyn Case, variants: &[Variant], effort: &Effort, folder: &Pat
     Ok(rows)
 }
 
-/// Medians of ours and theirs, milliseconds, for each variant and round. Our time is taken before and after each variant's, so that
-/// a machine that grows slower does not favour a side.
+/// Medians of ours and theirs, milliseconds, for each variant and round. Our time is taken before and after each variant's, so
+/// that a machine that grows slower does not favour a side.
 fn rounds(
     ours: &mut (dyn Ours + Send),
     built: &[(&Variant, String, Value)],

@@ -1,7 +1,7 @@
 //! How times grow with image size, batch and threads, beside what the machine allows; a picture as SVG.
 //!
-//! `scaling [--quick] [--threads 1 2] [--out FILE]`. The dashed lines are lower bounds from the speeds that are measured first: the
-//! floating-point operations over the multiply-add peak, or the bytes that must be moved over the bandwidth of the memory.
+//! `scaling [--quick] [--threads 1 2] [--out FILE]`. The dashed lines are lower bounds from the speeds that are measured first:
+//! the floating-point operations over the multiply-add peak, or the bytes that must be moved over the bandwidth of the memory.
 
 mod picture;
 
