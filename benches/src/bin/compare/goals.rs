@@ -97,7 +97,7 @@ fn dense(rows: &[Row], what: &str, variant: &str, number: fn(&[f64]) -> f64) -> 
 
 /// The sum of the three passes of the dilated depth-wise convolution, theirs over ours.
 fn dilated(rows: &[Row], variant: &str) -> Option<f64> {
-    let chosen = |row: &&Row| row.case.starts_with("depthwise 3x3 dilation") && row.variant == variant;
+    let chosen = |row: &&Row| row.topic == "conv" && row.case.starts_with("depthwise 3x3 dilation") && row.variant == variant;
     let (ours, theirs) = rows.iter().filter(chosen).fold((0.0, 0.0), |(o, t), row| (o + row.ours, t + row.theirs));
     (ours > 0.0).then(|| theirs / ours)
 }
