@@ -7,15 +7,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
-use dimode::batch::join;
-use dimode::losses::min_reprojection::min_reprojection;
-use dimode::losses::photometric::{photometric, photometric_value};
+use dimode::losses::fused_reprojection::{Combine, Frames, fused_reprojection};
+use dimode::losses::photometric::photometric;
 use dimode::losses::smoothness::smoothness;
-use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
 use dimode_geometry::Intrinsics;
-use dimode_geometry::losses::{AlignedPair, LossOptions, PairInputs, axial, planar, radial, tangential};
-use dimode_geometry::taped;
+use dimode_geometry::losses::fused::geometric_losses;
+use dimode_geometry::losses::{LossOptions, PairInputs};
+use dimode_geometry::taped::Pose;
 use serde_json::{Value, json};
 
 use crate::camera::camera;
@@ -83,9 +82,8 @@ impl Case for LossCase {
             ],
             flow: inputs.tensor("flow", Shape::new(n, 2, h, w))?,
             mask: map("mask")?,
-            targets: join(&[&target, &target]),
             target,
-            sources: join(&[&image("previous")?, &image("next")?]),
+            sources: [image("previous")?, image("next")?],
             cameras: vec![camera(inputs, h, w)?; 2 * n],
             pool: Pool::new(),
         }))
@@ -97,10 +95,8 @@ struct LossCore {
     flow: Tensor<f32>,
     mask: Tensor<f32>,
     target: Tensor<f32>,
-    /// The target once for each source.
-    targets: Tensor<f32>,
-    /// Both sources, the previous ones first.
-    sources: Tensor<f32>,
+    /// Both sources, the previous one first.
+    sources: [Tensor<f32>; 2],
     /// Cameras of the stacked samples.
     cameras: Vec<Intrinsics>,
     pool: Arc<Pool<f32>>,
@@ -124,23 +120,17 @@ impl LossCore {
             mask: &self.mask,
         };
         let options = LossOptions::literal();
-        let pair = AlignedPair::new(&inputs, &options);
-        [planar, axial, tangential, radial].map(|loss| loss(&pair, &options).mean)
+        geometric_losses(&inputs, &options, [true; 4]).expect("the printed forms have kernels").map(|loss| loss.mean)
     }
 
     /// Minimum reprojection with auto-mask as `objective/photometric.rs` measures it, and smoothness.
     fn photometric<'t>(&self, [depth, _, rotation, translation]: [Var<'t, f32>; 4]) -> [Var<'t, f32>; 2] {
-        let (n, tape) = (self.samples(), depth.tape());
-        let identity = photometric_value(&self.sources, &self.targets);
-        let half = |at: usize| {
-            let shape = Shape::new(n, 1, identity.shape().h(), identity.shape().w());
-            Tensor::from_vec(shape, identity.data()[at * shape.len()..][..shape.len()].to_vec())
-        };
-        let rigid = taped::rigid_flow(Var::concat(&[depth, depth], 0), rotation, translation, &self.cameras);
-        let warped = taped::warp(tape.constant(self.sources.clone()), rigid.slice(1, 0, 2), SamplePadding::Border);
-        let error = photometric(warped, tape.constant(self.targets.clone()));
-        let best = min_reprojection(&[error.slice(0, 0, n), error.slice(0, n, n)], &[half(0), half(1)]);
-        [best.error.mean(), smoothness(depth.recip(), &self.target)]
+        let tape = depth.tape();
+        let target = tape.constant(self.target.clone());
+        let identities = self.sources.each_ref().map(|source| photometric(tape.constant(source.clone()), target).value());
+        let frames = Frames::new(tape, &self.target, &self.sources, &identities, Combine::Minimum);
+        let best = fused_reprojection(depth, Pose { rotation, translation }, &self.cameras, &frames);
+        [best.mean, smoothness(depth.recip(), &self.target)]
     }
 
     /// The terms of a part with their weights, in the order of [`TERMS`].

@@ -140,13 +140,7 @@ impl<T: Scalar> WithSimd for Rows<'_, T> {
 }
 
 #[inline(always)]
-fn sums_of<T: Scalar, S: Simd, const V: usize>(
-    simd: S,
-    x: &[T],
-    offsets: &[usize],
-    weights: &[T],
-    start: T,
-) -> [Wide<S, T>; V] {
+fn sums_of<T: Scalar, S: Simd, const V: usize>(simd: S, x: &[T], offsets: &[usize], weights: &[T], start: T) -> [Wide<S, T>; V] {
     let lanes = T::lanes::<S>();
     let mut sums = [Wide::splat(simd, start); V];
     for (&offset, &w) in offsets.iter().zip(weights) {
