@@ -69,14 +69,17 @@ def build(case, variant, store):
         value.backward()
         values[name] = value.item()
         for leaf_name, leaf in leaves.items():
-            if leaf.grad is not None:
-                store.result(f"{name}_grad_{leaf_name}", leaf.grad)
+            store.result(f"{name}_grad_{leaf_name}", gradient(leaf))
     for part, run in timed.items():
         run()
         for leaf_name, leaf in leaves.items():
-            if leaf.grad is not None:
-                store.result(f"{part}_grad_{leaf_name}", leaf.grad)
+            store.result(f"{part}_grad_{leaf_name}", gradient(leaf))
     return timed, values
+
+
+def gradient(leaf):
+    """Zeros where no path leads to the leaf."""
+    return torch.zeros_like(leaf) if leaf.grad is None else leaf.grad
 
 
 def well_conditioned(rng, camera, depth_s, flow, rotation, translation):

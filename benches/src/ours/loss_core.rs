@@ -177,9 +177,9 @@ impl Ours for LossCore {
         let mut gradients_of = |name: &str, loss, tolerance| {
             let gradients = tape.backward(loss);
             for (leaf, var) in LEAVES.into_iter().zip(leaves) {
-                if let Some(gradient) = gradients.get(var) {
-                    results.tensors.push((format!("{name}_grad_{leaf}"), gradient.clone(), tolerance));
-                }
+                // Without a path to the leaf it is zero, whether or not the tape knows.
+                let gradient = gradients.get(var).cloned().unwrap_or_else(|| Tensor::zeros(var.shape()));
+                results.tensors.push((format!("{name}_grad_{leaf}"), gradient, tolerance));
             }
         };
         for ((&(name, _), &term), accepted) in TERMS.iter().zip(&terms).zip(ACCEPTED) {
