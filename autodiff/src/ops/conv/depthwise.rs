@@ -8,7 +8,7 @@ use pulp::{Arch, Simd, WithSimd};
 use super::backward_input::store_dense;
 use super::layout::{Layout, SLACK};
 use crate::simd::{Wide, unroll};
-use crate::{Pool, Scalar, par};
+use crate::{PadMode, Pool, Scalar, par};
 
 /// Registers of outputs that are summed at one time.
 const BLOCK: usize = 4;
@@ -48,18 +48,18 @@ pub fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], poo
         for (row, g) in bordered.chunks_exact_mut(pitch).skip(up).zip(g[i * plane..][..plane].chunks_exact(l.output.w())) {
             row[left..][..g.len()].copy_from_slice(g);
         }
-        let mut padded = pool.take(l.phase_len());
-        T::run_rows(Rows {
-            x: &bordered,
-            pitch,
-            offsets: &offsets,
-            weights: &w[i % channels * l.taps..][..l.taps],
-            start: T::ZERO,
-            out: &mut padded,
-            width: l.phase_w,
-        });
-        store_dense(l, padded.chunks_exact(l.phase_w).zip(0..l.phase_h), 0, dx);
-        pool.give(padded);
+        let weights = &w[i % channels * l.taps..][..l.taps];
+        let rows = |x, out, width| Rows { x, pitch, offsets: &offsets, weights, start: T::ZERO, out, width };
+        if l.pad_mode == PadMode::Zero {
+            // No reader wants what falls outside the image.
+            let (above, before) = l.padding();
+            T::run_rows(rows(&bordered[above * pitch + before..], dx, l.input.w()));
+        } else {
+            let mut padded = pool.take(l.phase_len());
+            T::run_rows(rows(&bordered, &mut padded, l.phase_w));
+            store_dense(l, padded.chunks_exact(l.phase_w).zip(0..l.phase_h), 0, dx);
+            pool.give(padded);
+        }
         pool.give(bordered);
     });
 }

@@ -184,25 +184,39 @@ impl Layout {
         packed
     }
 
-    /// Output gradients of one group with strips of channels side by side: `[strip][n][row][column][STRIP]`, zeros beyond the
-    /// last channel.
+    /// The strips of a group's output channels: first channel and width, [`STRIP`] or half of it.
+    pub fn strips(&self) -> Vec<(usize, usize)> {
+        let width = |first| if self.cout - first <= STRIP / 2 { STRIP / 2 } else { STRIP };
+        (0..self.cout).step_by(STRIP).map(|first| (first, width(first))).collect()
+    }
+
+    /// Output gradients of one group with strips of channels side by side: `[n][row][column][width]` for each strip, zeros beyond
+    /// the last channel. A strip starts at its first channel times all positions.
     pub fn pack_strips<T: Scalar>(&self, g: &[T], group: usize, pool: &Pool<T>) -> Vec<T> {
-        const TRANSPOSED: usize = 128;
-        let plane = self.output.plane();
-        let images = self.output.n();
-        let mut packed = pool.take(self.cout.div_ceil(STRIP) * images * plane * STRIP);
-        par::for_each_chunk(&mut packed, plane * STRIP, |chunk, out| {
-            let (strip, n) = (chunk / images, chunk % images);
-            let first = n * self.output.c() + group * self.cout + strip * STRIP;
-            let width = STRIP.min(self.cout - strip * STRIP);
-            if width < STRIP {
+        /// Positions at which all channels of a strip meet in the nearest cache.
+        const POSITIONS: usize = 128;
+        let (plane, images) = (self.output.plane(), self.output.n());
+        let strips = self.strips();
+        let channels = strips.last().map_or(0, |(first, width)| first + width);
+        let mut packed = pool.take(channels * images * plane);
+        let mut rest = &mut packed[..];
+        let mut tasks = Vec::with_capacity(strips.len() * images);
+        for &(first, width) in &strips {
+            for n in 0..images {
+                let (head, tail) = rest.split_at_mut(width * plane);
+                tasks.push((n, first, width, head));
+                rest = tail;
+            }
+        }
+        par::for_each_item(tasks, |_, (n, first, width, out)| {
+            let real = width.min(self.cout - first);
+            if real < width {
                 out.fill(T::ZERO);
             }
-            let g = &g[first * plane..][..width * plane];
-            // Few enough positions that all channels meet in the nearest cache.
-            for (tile, out) in out.chunks_mut(TRANSPOSED * STRIP).enumerate() {
+            let g = &g[(n * self.output.c() + group * self.cout + first) * plane..][..real * plane];
+            for (tile, out) in out.chunks_mut(POSITIONS * width).enumerate() {
                 for (o, g) in g.chunks_exact(plane).enumerate() {
-                    for (out, &g) in out.chunks_exact_mut(STRIP).zip(&g[tile * TRANSPOSED..]) {
+                    for (out, &g) in out.chunks_exact_mut(width).zip(&g[tile * POSITIONS..]) {
                         out[o] = g;
                     }
                 }

@@ -28,7 +28,7 @@ pub fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], po
     pool.give(packed);
 }
 
-/// Many output channels: a unit of work owns two strips of them and a run of (input channel, tap) pairs, or a part of the rows
+/// Many output channels: a unit of work owns a strip of them and a run of (input channel, tap) pairs, or a part of the rows
 /// where there would be too few units.
 fn weight_by_strips<T: Scalar>(l: &Layout, packed: &[T], g: &[T], group: usize, dw: &mut [T], pool: &Arc<Pool<T>>) {
     let g = l.pack_strips(g, group, pool);
@@ -36,17 +36,17 @@ fn weight_by_strips<T: Scalar>(l: &Layout, packed: &[T], g: &[T], group: usize, 
     let pairs: Vec<usize> = (0..l.cin).flat_map(|c| offsets.iter().map(move |t| c * l.channel_len() + t)).collect();
     let lines = l.output.n() * l.output.h();
     let positions = lines * l.output.w();
-    let run = (WORK / (positions * 2 * STRIP)).next_multiple_of(10).clamp(50, 240).min(pairs.len());
-    let owned = runs(&mut dw[group * l.cout * pairs.len()..][..l.cout * pairs.len()], pairs.len(), run);
+    let run = (WORK / (positions * STRIP)).next_multiple_of(10).clamp(50, 240).min(pairs.len());
+    let owned = runs(&mut dw[group * l.cout * pairs.len()..][..l.cout * pairs.len()], pairs.len(), run, &l.strips());
     let parts = (UNITS / owned.len()).clamp(1, lines).min(positions.div_ceil(4096));
     par::for_each_item(owned, |_, mut owned| {
-        let strips = owned.rows.len().div_ceil(STRIP);
+        let width = owned.width;
         let pairs = &pairs[owned.from..][..owned.rows[0].len()];
         let sums = par::map_indices(parts, |part| {
-            let mut sums = vec![0.0; pairs.len() * strips * STRIP];
+            let mut sums = vec![0.0; pairs.len() * width];
             T::run_weight_outer(WeightOuter {
                 g: &g[owned.first * positions..],
-                strips,
+                width,
                 x: &packed[group * l.cin * l.channel_len()..],
                 x_image: l.input.c() * l.channel_len(),
                 x_row: l.phase_w,
@@ -59,30 +59,31 @@ fn weight_by_strips<T: Scalar>(l: &Layout, packed: &[T], g: &[T], group: usize, 
         });
         for (o, row) in owned.rows.iter_mut().enumerate() {
             for (k, d) in row.iter_mut().enumerate() {
-                *d += T::from_f64(sums.iter().map(|sums| sums[k * strips * STRIP + o]).sum());
+                *d += T::from_f64(sums.iter().map(|sums| sums[k * width + o]).sum());
             }
         }
     });
     pool.give(g);
 }
 
-/// Weights of up to two strips of outputs, and of a run of pairs.
+/// Weights of a strip of outputs and of a run of pairs.
 struct Run<'a, T> {
-    /// First output, a multiple of [`STRIP`].
+    /// First output and width of the strip.
     first: usize,
+    width: usize,
     /// First pair.
     from: usize,
     /// Those of every output.
     rows: Vec<&'a mut [T]>,
 }
 
-fn runs<T>(dw: &mut [T], pairs: usize, run: usize) -> Vec<Run<'_, T>> {
+fn runs<'a, T>(dw: &'a mut [T], pairs: usize, run: usize, strips: &[(usize, usize)]) -> Vec<Run<'a, T>> {
     let mut out = Vec::new();
     let mut rows: Vec<_> = dw.chunks_exact_mut(pairs).map(|row| row.chunks_mut(run)).collect();
-    for (block, rows) in rows.chunks_mut(2 * STRIP).enumerate() {
+    for (rows, &(first, width)) in rows.chunks_mut(STRIP).zip(strips) {
         for from in (0..pairs).step_by(run) {
             let rows = rows.iter_mut().map(|row| row.next().expect("every row has all runs")).collect();
-            out.push(Run { first: block * 2 * STRIP, from, rows });
+            out.push(Run { first, width, from, rows });
         }
     }
     out

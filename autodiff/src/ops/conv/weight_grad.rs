@@ -48,72 +48,76 @@ impl<T: Scalar> WithSimd for Run<'_, '_, T> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let count = self.task.pairs.len();
-        let mut at = 0;
-        while at < count {
-            let left = count - at;
-            let step = if left >= PAIRS {
-                PAIRS
-            } else if left >= 3 {
-                3
-            } else {
-                1
-            };
-            match (self.task.outputs, step) {
-                (4, PAIRS) => block::<T, S, 4, PAIRS>(&self.task, simd, at, self.sums),
-                (4, 3) => block::<T, S, 4, 3>(&self.task, simd, at, self.sums),
-                (4, _) => block::<T, S, 4, 1>(&self.task, simd, at, self.sums),
-                (outputs, _) => {
-                    for o in 0..outputs {
-                        let task = WeightGrad { first: self.task.first + o, outputs: 1, ..self.task };
-                        let sums = &mut self.sums[o * count..(o + 1) * count];
-                        match step {
-                            PAIRS => block::<T, S, 1, PAIRS>(&task, simd, at, sums),
-                            3 => block::<T, S, 1, 3>(&task, simd, at, sums),
-                            _ => block::<T, S, 1, 1>(&task, simd, at, sums),
+        for n in 0..self.task.images {
+            // All pairs visit a few positions before the next ones are read.
+            for pos in (0..self.task.pitch).step_by(FLUSH) {
+                let mut at = 0;
+                while at < count {
+                    at += match (self.task.outputs, count - at) {
+                        (4, PAIRS..) => block::<T, S, 4, PAIRS>(&self.task, simd, [n, pos, 0], at, self.sums),
+                        (4, 3..) => block::<T, S, 4, 3>(&self.task, simd, [n, pos, 0], at, self.sums),
+                        (4, _) => block::<T, S, 4, 1>(&self.task, simd, [n, pos, 0], at, self.sums),
+                        (outputs, left) => {
+                            for o in 0..outputs {
+                                match left {
+                                    PAIRS.. => block::<T, S, 1, PAIRS>(&self.task, simd, [n, pos, o], at, self.sums),
+                                    3.. => block::<T, S, 1, 3>(&self.task, simd, [n, pos, o], at, self.sums),
+                                    _ => block::<T, S, 1, 1>(&self.task, simd, [n, pos, o], at, self.sums),
+                                };
+                            }
+                            match left {
+                                PAIRS.. => PAIRS,
+                                3.. => 3,
+                                _ => 1,
+                            }
                         }
-                    }
+                    };
                 }
             }
-            at += step;
         }
     }
 }
 
+/// Adds to the sums of `O` outputs from `first` on and `P` pairs from `at` on what the positions from `pos` on of image `n` give.
+/// Returns `P`.
 #[inline(always)]
-fn block<T: Scalar, S: Simd, const O: usize, const P: usize>(t: &WeightGrad<'_, T>, simd: S, at: usize, sums: &mut [f64]) {
+fn block<T: Scalar, S: Simd, const O: usize, const P: usize>(
+    t: &WeightGrad<'_, T>,
+    simd: S,
+    [n, pos, first]: [usize; 3],
+    at: usize,
+    sums: &mut [f64],
+) -> usize {
     let lanes = T::lanes::<S>();
     let pairs = t.pairs.len();
-    for n in 0..t.images {
-        let g = &t.g[n * t.g_image + t.first * t.pitch..][..O * t.pitch];
-        let x = &t.x[n * t.x_image..];
-        for pos in (0..t.pitch).step_by(FLUSH) {
-            let len = FLUSH.min(t.pitch - pos);
-            let steps = len / lanes;
-            let gs: [&[T::Reg<S>]; O] = std::array::from_fn(|o| &T::registers::<S>(&g[o * t.pitch + pos..][..len])[..steps]);
-            let xs: [&[T::Reg<S>]; P] = std::array::from_fn(|p| &T::registers::<S>(&x[t.pairs[at + p] + pos..][..len])[..steps]);
-            let mut acc = [[T::splat(simd, T::ZERO); P]; O];
-            for i in 0..steps {
-                let x: [_; P] = std::array::from_fn(|p| xs[p][i]);
-                unroll!(K in 0 1 2 3 => {
-                    if K < O {
-                        let g = gs[K][i];
-                        unroll!(L in 0 1 2 3 4 5 => {
-                            if L < P {
-                                acc[K][L] = T::fma(simd, g, x[L], acc[K][L]);
-                            }
-                        });
+    let g = &t.g[n * t.g_image + (t.first + first) * t.pitch..][..O * t.pitch];
+    let x = &t.x[n * t.x_image..];
+    let len = FLUSH.min(t.pitch - pos);
+    let steps = len / lanes;
+    let gs: [&[T::Reg<S>]; O] = std::array::from_fn(|o| &T::registers::<S>(&g[o * t.pitch + pos..][..len])[..steps]);
+    let xs: [&[T::Reg<S>]; P] = std::array::from_fn(|p| &T::registers::<S>(&x[t.pairs[at + p] + pos..][..len])[..steps]);
+    let mut acc = [[T::splat(simd, T::ZERO); P]; O];
+    for i in 0..steps {
+        let x: [_; P] = std::array::from_fn(|p| xs[p][i]);
+        unroll!(K in 0 1 2 3 => {
+            if K < O {
+                let g = gs[K][i];
+                unroll!(L in 0 1 2 3 4 => {
+                    if L < P {
+                        acc[K][L] = T::fma(simd, g, x[L], acc[K][L]);
                     }
                 });
             }
-            unroll!(K in 0 1 2 3 => {
-                if K < O {
-                    unroll!(L in 0 1 2 3 4 5 => {
-                        if L < P {
-                            sums[K * pairs + at + L] += T::reduce_sum(simd, acc[K][L]).to_f64();
-                        }
-                    });
+        });
+    }
+    unroll!(K in 0 1 2 3 => {
+        if K < O {
+            unroll!(L in 0 1 2 3 4 => {
+                if L < P {
+                    sums[(first + K) * pairs + at + L] += T::reduce_sum(simd, acc[K][L]).to_f64();
                 }
             });
         }
-    }
+    });
+    P
 }
