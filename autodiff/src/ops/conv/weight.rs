@@ -12,7 +12,7 @@ use crate::{Pool, Scalar, par};
 const WORK: usize = 1 << 22;
 /// Units that are enough for every thread to have some.
 const UNITS: usize = 16;
-/// Output channels from which on strips of them are worth their copy.
+/// Output channels up to which strips of them are not worth their copy.
 const FEW_OUTPUTS: usize = 16;
 
 /// Adds the gradient of the weights.
