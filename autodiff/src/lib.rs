@@ -51,6 +51,7 @@
 //! The same inputs give the same bits on any number of threads: work is cut into chunks of fixed size ([`par`]) and
 //! reductions run in a fixed order.
 
+mod activation;
 mod arccos;
 mod checkpoint;
 mod erfc;
@@ -71,6 +72,7 @@ pub mod simd;
 mod tape;
 mod tensor;
 
+pub use activation::Activation;
 pub use grad_sink::{GradSink, GradSlot};
 pub use gradcheck::{GradCheck, gradcheck};
 pub use gradients::Gradients;

@@ -31,8 +31,8 @@ def build(case, variant, store):
     return {"forward": forward, "forward_backward": forward_backward}, {}
 
 
-def batch_norm(case, store, inputs):
-    """Batch norm in training, with running statistics; scale and offset take a gradient too."""
+def batch_norm(case, store, inputs, then=lambda y: y):
+    """Batch norm in training, with running statistics, and what follows; scale and offset take a gradient too."""
     norm = torch.nn.BatchNorm2d(case["shapes"][0][1])
     with torch.no_grad():
         norm.weight.copy_(store.normal("scale", tuple(norm.weight.shape)))
@@ -40,9 +40,19 @@ def batch_norm(case, store, inputs):
 
     def run():
         norm.weight.grad = norm.bias.grad = None
-        return norm(inputs[0])
+        return then(norm(inputs[0]))
 
     return run
+
+
+def batch_norm_relu(case, store, inputs):
+    """As the networks have it: in place."""
+    return batch_norm(case, store, inputs, lambda y: F.relu(y, inplace=True))
+
+
+def batch_norm_skip_relu(case, store, inputs):
+    """As the networks have it: the sum is a map of its own, the activation in place."""
+    return batch_norm(case, store, inputs, lambda y: F.relu(y + inputs[1], inplace=True))
 
 
 def plain(function):
@@ -52,6 +62,9 @@ def plain(function):
 
 OPS = {
     "batch_norm": batch_norm,
+    "batch_norm_relu": batch_norm_relu,
+    "batch_norm_skip_relu": batch_norm_skip_relu,
+    "resize": plain(lambda x: F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)),
     "elu": plain(F.elu),
     "relu": plain(F.relu),
     "sigmoid": plain(torch.sigmoid),

@@ -1,6 +1,6 @@
 //! Pose decoder: from the coarsest feature map to six numbers per predicted frame.
 
-use dimode_autodiff::{Scalar, Var};
+use dimode_autodiff::{Activation, Scalar, Var};
 
 use crate::layers::ConvLayer;
 use crate::{Binder, Blueprint};
@@ -33,9 +33,9 @@ impl PoseDecoder {
     /// translation.
     pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, feature: Var<'t, T>) -> Var<'t, T> {
         let [squeeze, first, second, last] = &self.convs;
-        let x = squeeze.forward(binder, feature).relu();
-        let x = first.forward(binder, x).relu();
-        let x = second.forward(binder, x).relu();
+        let x = squeeze.activated(binder, feature, Activation::Relu);
+        let x = first.activated(binder, x, Activation::Relu);
+        let x = second.activated(binder, x, Activation::Relu);
         last.forward(binder, x).mean_hw().scale(OUTPUT_SCALE)
     }
 }

@@ -1,7 +1,7 @@
 //! The rotation between two views, from both images: the network of SC-Depth V2 that learns to remove it (auto-rectify;
 //! JiawangBian/sc_depth_pl, `models/RectifyNet.py`).
 
-use dimode_autodiff::{Scalar, Tape, Tensor, Var};
+use dimode_autodiff::{Activation, Scalar, Tape, Tensor, Var};
 
 use crate::layers::ConvLayer;
 use crate::{Binder, Blueprint, Network, ParamSet, ResNetConfig, ResNetEncoder};
@@ -65,9 +65,9 @@ impl RectifyNet {
         let [_, _, height, width] = stack.shape().0;
         let features = self.encoder.forward(binder, stack.resize_bilinear(height / 2, width / 2, true));
         let [squeeze, first, second, last] = &self.decoder;
-        let x = squeeze.forward(binder, features[4]).relu();
-        let x = first.forward(binder, x).relu();
-        let x = second.forward(binder, x).relu();
+        let x = squeeze.activated(binder, features[4], Activation::Relu);
+        let x = first.activated(binder, x, Activation::Relu);
+        let x = second.activated(binder, x, Activation::Relu);
         last.forward(binder, x).mean_hw()
     }
 

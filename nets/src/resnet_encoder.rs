@@ -1,6 +1,6 @@
 //! ResNet encoder over one or more stacked images.
 
-use dimode_autodiff::{Scalar, Var};
+use dimode_autodiff::{Activation, Scalar, Var};
 
 use crate::layers::{BasicBlock, BatchNorm, ConvLayer};
 use crate::{Binder, Blueprint, Init};
@@ -107,7 +107,7 @@ impl ResNetEncoder {
         assert_eq!(images.shape().c(), channels, "resnet encoder: input {:?} needs {channels} channels", images.shape());
         let x = images.add_scalar(-INPUT_MEAN).scale(1.0 / INPUT_DEVIATION);
         let x = self.conv1.forward(binder, x);
-        let first = self.norm1.forward(binder, x).relu();
+        let first = self.norm1.activated(binder, x, None, Activation::Relu);
         let mut features = [first; 5];
         let mut x = first.max_pool2d(3, 2, 1);
         for (feature, blocks) in features[1..].iter_mut().zip(&self.layers) {

@@ -6,10 +6,10 @@
 //! Evaluation: m and v are constants; the same ggamma and gbeta, gx = gamma/sqrt(v + eps) g.
 //! Kinks: none.  Keeps: the input and two numbers per channel.
 
-use super::instance_norm::{denormalise, moments, normalise};
-use super::planes::sum_and_moment;
+use super::norm::{Denormalise, Normalise, PassBack, moments};
+use crate::activation::{Activate, with_activation};
 use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
-use crate::{GradSink, Scalar, Shape, Tensor, Var, par};
+use crate::{Activation, GradSink, Scalar, Shape, Tensor, Var, par};
 
 /// What [`Var::batch_norm_train`] returns: the output and the statistics of the batch for the running averages.
 #[derive(Clone, Debug)]
@@ -20,6 +20,17 @@ pub struct BatchNormOutput<'t, T: Scalar> {
     pub mean: Tensor<T>,
     /// Biased variance of each channel, (1, C, 1, 1); times n/(n - 1), n = N H W, for the usual running variance.
     pub var: Tensor<T>,
+}
+
+/// What follows the normalisation in the same pass: `activation(normalised + skip)`.
+#[derive(Clone, Copy)]
+pub(crate) struct Tail<'t, T: Scalar> {
+    pub(crate) skip: Option<Var<'t, T>>,
+    pub(crate) activation: Activation,
+}
+
+impl<T: Scalar> Tail<'_, T> {
+    const NONE: Self = Self { skip: None, activation: Activation::Identity };
 }
 
 /// Centre and 1/sqrt(v + eps) of each channel.
@@ -34,7 +45,7 @@ fn channel<T: Scalar>(x: &[T], shape: Shape, c: usize) -> impl Iterator<Item = &
 /// The planes of `out` by channel: one task reads and writes a channel while it is in the cache.
 fn by_channel<T: Scalar>(out: &mut [T], shape: Shape) -> Vec<Vec<&mut [T]>> {
     let mut groups: Vec<Vec<&mut [T]>> = (0..shape.c()).map(|_| Vec::with_capacity(shape.n())).collect();
-    for (i, plane) in out.chunks_exact_mut(shape.plane().max(1)).enumerate() {
+    for (i, plane) in out.chunks_exact_mut(shape.plane()).enumerate() {
         groups[i % shape.c()].push(plane);
     }
     groups
@@ -44,6 +55,7 @@ fn by_channel<T: Scalar>(out: &mut [T], shape: Shape) -> Vec<Vec<&mut [T]>> {
 fn forward<'t, T: Scalar>(
     [x, gamma, beta]: [Var<'t, T>; 3],
     eps: f64,
+    (skip, activation): (Option<&Tensor<T>>, impl Activate),
     measure: impl Fn(usize) -> (f64, f64) + Sync + Send,
 ) -> (Tensor<T>, Vec<(f64, f64)>, Statistics<T>) {
     let (shape, value, gamma, beta) = (x.shape(), x.value(), gamma.value(), beta.value());
@@ -54,9 +66,10 @@ fn forward<'t, T: Scalar>(
     par::for_each_item(channels, |c, (planes, measured)| {
         *measured = measure(c);
         let (mean, inverse) = scaled(*measured);
-        let scale = inverse * gamma.data()[c];
-        for (out, x) in planes.into_iter().zip(channel(value.data(), shape, c)) {
-            normalise(x, out, mean, scale, beta.data()[c]);
+        let (scale, shift) = (inverse * gamma.data()[c], beta.data()[c]);
+        for (n, (y, x)) in planes.into_iter().zip(channel(value.data(), shape, c)).enumerate() {
+            let skip = skip.map(|skip| skip.plane(n, c));
+            Normalise { x, skip, y, mean, scale, shift, activation }.run();
         }
     });
     let statistics = measured.iter().copied().map(scaled).collect();
@@ -66,66 +79,134 @@ fn forward<'t, T: Scalar>(
 /// What the backward pass needs; with `batch` the statistics depend on the input.
 struct Saved<T: Scalar> {
     x: Tensor<T>,
+    /// The output, which tells the slope of the activation.
+    y: Tensor<T>,
     gamma: Tensor<T>,
     statistics: Statistics<T>,
     batch: bool,
 }
 
 impl<T: Scalar> Saved<T> {
-    /// Sums of g and of g h over channel `c`.
-    fn sums(&self, g: &[T], c: usize) -> (f64, f64) {
+    /// Parents are input, gamma, beta and perhaps the skip.
+    fn backward(&self, activation: impl Activate, g: &Tensor<T>, grads: &mut GradSink<'_, T>) {
         let shape = self.x.shape();
-        let (mean, inverse) = self.statistics[c];
-        let (mut total, mut moment) = (0.0, 0.0);
-        for (g, x) in channel(g, shape, c).zip(channel(self.x.data(), shape, c)) {
-            let (t, m) = sum_and_moment(g, x, mean);
-            total += t;
-            moment += m;
-        }
-        (total, moment * inverse.to_f64())
-    }
-
-    /// Writes the gradient of channel `c` of the input, given the channel's sums.
-    fn input_gradient(&self, g: &[T], c: usize, (total, moment): (f64, f64), planes: Vec<&mut [T]>) {
-        let shape = self.x.shape();
-        let count = (shape.n() * shape.plane()) as f64;
-        let (mean, inverse) = self.statistics[c];
-        let (total, moment) = if self.batch { (total, moment) } else { (0.0, 0.0) };
-        let slope = T::from_f64(moment / count * inverse.to_f64());
-        let terms = [T::from_f64(total / count), slope, inverse * self.gamma.data()[c]];
-        let operands = channel(g, shape, c).zip(channel(self.x.data(), shape, c));
-        for (out, (g, x)) in planes.into_iter().zip(operands) {
-            denormalise(g, x, out, mean, terms);
-        }
-    }
-
-    fn backward(&self, g: &Tensor<T>, grads: &mut GradSink<'_, T>) {
-        let (shape, g) = (self.x.shape(), g.data());
-        let wants_sums = self.batch || grads.needs(1) || grads.needs(2);
-        let measure = |c| {
-            if wants_sums { self.sums(g, c) } else { (0.0, 0.0) }
-        };
-        let sums = match grads.slot(0) {
-            None => par::map_indices(shape.c(), measure),
-            Some(mut slot) => {
-                let mut sums = vec![(0.0, 0.0); shape.c()];
-                slot.write(|gx| {
-                    let channels = by_channel(gx, shape).into_iter().zip(&mut sums).collect();
-                    par::for_each_item(channels, |c, (planes, sums)| {
-                        *sums = measure(c);
-                        self.input_gradient(g, c, *sums, planes);
-                    });
-                });
-                sums
+        let mut gx = grads.scratch(shape.len());
+        let mut skip = (grads.len() == 4 && grads.needs(3)).then(|| grads.scratch(shape.len()));
+        let mut sums = vec![(0.0, 0.0); shape.c()];
+        let mut skips = skip.as_mut().map(|skip| by_channel(skip, shape).into_iter());
+        let channels = by_channel(&mut gx, shape).into_iter().zip(&mut sums);
+        let channels = channels.map(|(gx, sums)| (gx, skips.as_mut().and_then(Iterator::next), sums)).collect();
+        par::for_each_item(channels, |c, (mut gx, skip, sums)| {
+            *sums = self.pass_back(activation, g, c, &mut gx);
+            for (skip, gx) in skip.into_iter().flatten().zip(&gx) {
+                skip.copy_from_slice(gx);
             }
-        };
+            self.input_gradient(c, *sums, gx);
+        });
+        match grads.slot(0) {
+            Some(mut slot) => slot.add_fresh(gx),
+            None => grads.give_back(gx),
+        }
         if let Some(mut slot) = grads.slot(1) {
             slot.accumulate(|c| T::from_f64(sums[c].1));
         }
         if let Some(mut slot) = grads.slot(2) {
             slot.accumulate(|c| T::from_f64(sums[c].0));
         }
+        if let Some(skip) = skip
+            && let Some(mut slot) = grads.slot(3)
+        {
+            slot.add_fresh(skip);
+        }
     }
+
+    /// Writes the gradient before the activation of channel `c`: its sum and that of its products with the normalised input.
+    fn pass_back(&self, activation: impl Activate, g: &Tensor<T>, c: usize, out: &mut [&mut [T]]) -> (f64, f64) {
+        let (centre, inverse) = self.statistics[c];
+        let (mut total, mut moment) = (0.0, 0.0);
+        for (n, out) in out.iter_mut().enumerate() {
+            let (g, x, y) = (g.plane(n, c), self.x.plane(n, c), self.y.plane(n, c));
+            let (t, m) = PassBack { g, x, y, centre, activation, out }.run();
+            total += t;
+            moment += m;
+        }
+        (total, moment * inverse.to_f64())
+    }
+
+    /// Turns the gradient of the normalised channel `c` into that of the input, given the channel's sums.
+    fn input_gradient(&self, c: usize, (total, moment): (f64, f64), planes: Vec<&mut [T]>) {
+        let shape = self.x.shape();
+        let count = (shape.n() * shape.plane()) as f64;
+        let (mean, inverse) = self.statistics[c];
+        let (total, moment) = if self.batch { (total, moment) } else { (0.0, 0.0) };
+        let slope = T::from_f64(moment / count * inverse.to_f64());
+        let (offset, scale) = (T::from_f64(total / count), inverse * self.gamma.data()[c]);
+        for (g, x) in planes.into_iter().zip(channel(self.x.data(), shape, c)) {
+            Denormalise { g, x, mean, offset, slope, scale }.run();
+        }
+    }
+}
+
+/// Batch normalisation with the batch's statistics and what follows it, as the operation `op`.
+#[track_caller]
+pub(crate) fn train<'t, T: Scalar>(
+    op: &'static str,
+    [x, gamma, beta]: [Var<'t, T>; 3],
+    eps: f64,
+    tail: Tail<'t, T>,
+) -> BatchNormOutput<'t, T> {
+    let shape = x.shape();
+    assert_vector(op, "gamma", gamma.shape(), shape);
+    assert_vector(op, "beta", beta.shape(), shape);
+    assert!(eps > 0.0, "{op}: input {shape} with eps {eps}; the rule: positive");
+    assert!(shape.n() * shape.plane() > 1, "{op}: input {shape}: a channel needs at least two values over samples and pixels");
+    let value = x.value();
+    let measure = |c| moments(channel(value.data(), shape, c));
+    let (y, measured) = record(op, [x, gamma, beta], (eps, true), tail, measure);
+    let vector = |values: Vec<T>| Tensor::from_vec(Shape::new(1, shape.c(), 1, 1), values);
+    let mean = vector(measured.iter().map(|m| T::from_f64(m.0)).collect());
+    let var = vector(measured.iter().map(|m| T::from_f64(m.1)).collect());
+    BatchNormOutput { y, mean, var }
+}
+
+/// Batch normalisation with given mean and variance and what follows it, as the operation `op`.
+#[track_caller]
+pub(crate) fn eval<'t, T: Scalar>(
+    op: &'static str,
+    [x, gamma, beta]: [Var<'t, T>; 3],
+    [mean, var]: [&Tensor<T>; 2],
+    eps: f64,
+    tail: Tail<'t, T>,
+) -> Var<'t, T> {
+    let shape = x.shape();
+    for (name, got) in [("gamma", gamma.shape()), ("beta", beta.shape()), ("mean", mean.shape()), ("var", var.shape())] {
+        assert_vector(op, name, got, shape);
+    }
+    assert!(eps > 0.0, "{op}: input {shape} with eps {eps}; the rule: positive");
+    let measure = |c: usize| (mean.data()[c].to_f64(), var.data()[c].to_f64());
+    record(op, [x, gamma, beta], (eps, false), tail, measure).0
+}
+
+/// Computes and records; returns what was measured of each channel too.
+#[track_caller]
+fn record<'t, T: Scalar>(
+    op: &'static str,
+    inputs: [Var<'t, T>; 3],
+    (eps, batch): (f64, bool),
+    Tail { skip, activation }: Tail<'t, T>,
+    measure: impl Fn(usize) -> (f64, f64) + Sync + Send,
+) -> (Var<'t, T>, Vec<(f64, f64)>) {
+    let [x, gamma, _] = inputs;
+    let skipped = skip.map(|skip| {
+        assert!(skip.shape() == x.shape(), "{op}: input {} and skip {} differ; the rule: one shape", x.shape(), skip.shape());
+        skip.value()
+    });
+    let parents: Vec<_> = inputs.into_iter().chain(skip).collect();
+    with_activation!(activation, |activation| {
+        let (y, measured, statistics) = forward(inputs, eps, (skipped.as_ref(), activation), measure);
+        let saved = Saved { x: x.value(), y: y.clone(), gamma: gamma.value(), statistics, batch };
+        (x.tape().push(op, y, &parents, move |g, grads| saved.backward(activation, g, grads)), measured)
+    })
 }
 
 #[track_caller]
@@ -144,24 +225,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// positive. Equals PyTorch's `batch_norm(training=True)` apart from the running averages, which the caller keeps.
     #[track_caller]
     pub fn batch_norm_train(self, gamma: Var<'t, T>, beta: Var<'t, T>, eps: f64) -> BatchNormOutput<'t, T> {
-        let shape = self.shape();
-        assert_vector("batch_norm_train", "gamma", gamma.shape(), shape);
-        assert_vector("batch_norm_train", "beta", beta.shape(), shape);
-        assert!(eps > 0.0, "batch_norm_train: input {shape} with eps {eps}; the rule: positive");
-        assert!(
-            shape.n() * shape.plane() > 1,
-            "batch_norm_train: input {shape}: a channel needs at least two values over samples and pixels"
-        );
-        let x = self.value();
-        let measure = |c| moments(channel(x.data(), shape, c));
-        let (y, measured, statistics) = forward([self, gamma, beta], eps, measure);
-        let vector = |values: Vec<T>| Tensor::from_vec(Shape::new(1, shape.c(), 1, 1), values);
-        let mean = vector(measured.iter().map(|m| T::from_f64(m.0)).collect());
-        let var = vector(measured.iter().map(|m| T::from_f64(m.1)).collect());
-        let saved = Saved { x, gamma: gamma.value(), statistics, batch: true };
-        let parents = [self, gamma, beta];
-        let y = self.tape().push("batch_norm_train", y, &parents, move |g, grads| saved.backward(g, grads));
-        BatchNormOutput { y, mean, var }
+        train("batch_norm_train", [self, gamma, beta], eps, Tail::NONE)
     }
 
     /// Batch normalisation with given statistics.
@@ -172,16 +236,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// **Panics** when shapes disagree or `eps` is not positive.
     #[track_caller]
     pub fn batch_norm_eval(self, gamma: Var<'t, T>, beta: Var<'t, T>, mean: &Tensor<T>, var: &Tensor<T>, eps: f64) -> Var<'t, T> {
-        let shape = self.shape();
-        for (name, got) in [("gamma", gamma.shape()), ("beta", beta.shape()), ("mean", mean.shape()), ("var", var.shape())] {
-            assert_vector("batch_norm_eval", name, got, shape);
-        }
-        assert!(eps > 0.0, "batch_norm_eval: input {} with eps {eps}; the rule: positive", self.shape());
-        let measure = |c: usize| (mean.data()[c].to_f64(), var.data()[c].to_f64());
-        let parents = [self, gamma, beta];
-        let (y, _, statistics) = forward(parents, eps, measure);
-        let saved = Saved { x: self.value(), gamma: gamma.value(), statistics, batch: false };
-        self.tape().push("batch_norm_eval", y, &parents, move |g, grads| saved.backward(g, grads))
+        eval("batch_norm_eval", [self, gamma, beta], [mean, var], eps, Tail::NONE)
     }
 }
 

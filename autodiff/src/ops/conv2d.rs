@@ -10,8 +10,10 @@
 
 use super::conv::layout::Layout;
 use super::conv::{backward_input, backward_weight, forward};
+use super::{kernel, norm};
+use crate::activation::{Activate, with_activation};
 use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
-use crate::{Scalar, Shape, Tensor, Var, par};
+use crate::{Activation, Scalar, Shape, Var, par};
 
 /// What lies outside the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,65 +108,70 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// When the shapes do not fit (see [`Conv2d::output_shape`]).
     #[track_caller]
     pub fn conv2d(self, weight: Var<'t, T>, bias: Option<Var<'t, T>>, conv: Conv2d) -> Var<'t, T> {
-        let (x, w) = (self.value(), weight.value());
-        let shape = conv.output_shape(x.shape(), w.shape());
-        if let Some(bias) = bias {
-            let want = Shape::new(1, shape.c(), 1, 1);
-            assert!(
-                bias.shape() == want,
-                "conv2d: input {} and weight {} need a bias {want}, got {}",
-                x.shape(),
-                w.shape(),
-                bias.shape()
-            );
-        }
-        let layout = Layout::new(x.shape(), w.shape(), shape, &conv);
-        let pool = self.tape().pool().clone();
-        let bias_value = bias.map(|b| b.value());
-        let y = forward(&layout, x.data(), w.data(), bias_value.as_ref().map(|b| b.data()), &pool);
-        let output = self.tape().tensor(shape, y);
-        let x = weight.requires_grad().then_some(x);
-        let w = self.requires_grad().then_some(w);
-        let parents: Vec<_> = [self, weight].into_iter().chain(bias).collect();
-        self.tape().push("conv2d", output, &parents, move |g, grads| {
-            if let (Some(mut slot), Some(w)) = (grads.slot(0), &w) {
-                slot.write(|dx| backward_input(&layout, g.data(), w.data(), dx, &pool));
-            }
-            if let (Some(mut slot), Some(x)) = (grads.slot(1), &x) {
-                backward_weight(&layout, x.data(), g.data(), slot.as_mut_slice(), &pool);
-            }
-            if grads.len() == 3
-                && let Some(mut slot) = grads.slot(2)
-            {
-                backward_bias(g, slot.as_mut_slice());
-            }
-        })
+        record("conv2d", self, weight, bias, conv, Activation::Identity)
     }
 }
 
-fn backward_bias<T: Scalar>(g: &Tensor<T>, db: &mut [T]) {
-    let shape = g.shape();
-    let sums = par::map_indices(shape.c(), |c| (0..shape.n()).map(|n| plane_sum(g.plane(n, c))).sum::<f64>());
+/// Convolution and what follows it, as the operation `op`.
+#[track_caller]
+pub(crate) fn record<'t, T: Scalar>(
+    op: &'static str,
+    x: Var<'t, T>,
+    weight: Var<'t, T>,
+    bias: Option<Var<'t, T>>,
+    conv: Conv2d,
+    activation: Activation,
+) -> Var<'t, T> {
+    let parents: Vec<_> = [x, weight].into_iter().chain(bias).collect();
+    let (tape, pool) = (x.tape(), x.tape().pool().clone());
+    let (x, w) = (x.value(), weight.value());
+    let shape = conv.output_shape(x.shape(), w.shape());
+    if let Some(bias) = bias {
+        let want = Shape::new(1, shape.c(), 1, 1);
+        let (x, w) = (x.shape(), w.shape());
+        assert!(bias.shape() == want, "{op}: input {x} and weight {w} need a bias {want}, got {}", bias.shape());
+    }
+    let layout = Layout::new(x.shape(), w.shape(), shape, &conv);
+    let bias_value = bias.map(|b| b.value());
+    let mut y = forward(&layout, x.data(), w.data(), bias_value.as_ref().map(|b| b.data()), &pool);
+    if activation != Activation::Identity {
+        with_activation!(activation, |a| kernel::update(&mut y, |y| a.of(y)));
+    }
+    let y = tape.tensor(shape, y);
+    // Input and weight are only kept for each other's gradient, the output for the slope of the activation.
+    let x = parents[1].requires_grad().then_some(x);
+    let w = parents[0].requires_grad().then_some(w);
+    let kept = (activation != Activation::Identity).then(|| y.clone());
+    tape.push(op, y, &parents, move |g, grads| {
+        let before = kept.as_ref().map(|y| {
+            let mut before = grads.scratch(shape.len());
+            with_activation!(activation, |a| kernel::zip(&mut before, y.data(), g.data(), |y, g| a.back(y, g)));
+            before
+        });
+        let g = before.as_deref().unwrap_or(g.data());
+        if let (Some(mut slot), Some(w)) = (grads.slot(0), &w) {
+            slot.write(|dx| backward_input(&layout, g, w.data(), dx, &pool));
+        }
+        if let (Some(mut slot), Some(x)) = (grads.slot(1), &x) {
+            backward_weight(&layout, x.data(), g, slot.as_mut_slice(), &pool);
+        }
+        if grads.len() == 3
+            && let Some(mut slot) = grads.slot(2)
+        {
+            backward_bias(shape, g, slot.as_mut_slice());
+        }
+        if let Some(before) = before {
+            grads.give_back(before);
+        }
+    })
+}
+
+fn backward_bias<T: Scalar>(shape: Shape, g: &[T], db: &mut [T]) {
+    let plane = |n: usize, c: usize| &g[(n * shape.c() + c) * shape.plane()..][..shape.plane()];
+    let sums = par::map_indices(shape.c(), |c| (0..shape.n()).map(|n| norm::sum(plane(n, c))).sum::<f64>());
     for (d, s) in db.iter_mut().zip(sums) {
         *d += T::from_f64(s);
     }
-}
-
-/// Sum of a plane in 16 lanes, then in `f64`.
-fn plane_sum<T: Scalar>(plane: &[T]) -> f64 {
-    let mut total = 0.0;
-    for chunk in plane.chunks(4096) {
-        let mut lanes = [T::ZERO; 16];
-        let whole = chunk.chunks_exact(16);
-        let rest = whole.remainder();
-        for x in whole {
-            for (l, &x) in lanes.iter_mut().zip(x) {
-                *l += x;
-            }
-        }
-        total += lanes.iter().chain(rest).map(|x| x.to_f64()).sum::<f64>();
-    }
-    total
 }
 
 #[derive(Debug)]
@@ -260,6 +267,7 @@ pub(crate) fn proof() -> Proof {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Tensor;
     use crate::gradcheck::{random, weighted_sum};
     use crate::ops::testing::close;
     use crate::{GradCheck, Tape, gradcheck};

@@ -4,52 +4,19 @@
 //! vjp: gx = (g - mean(g) - y mean(g y)) / sqrt(v + eps).  Kinks: none.  Keeps: the input, m and 1/sqrt(v + eps).
 //! A plane of one element, or a constant one, gives zeros and passes a gradient of (g - mean g) / sqrt(eps).
 
-use super::planes::{for_each_plane, sum_and_moment, sum_map};
+use super::norm::{Denormalise, Normalise, PassBack, moments};
+use super::planes::for_each_plane;
+use crate::activation::Identity;
 use crate::proof::{Case, Draw, Number, Plain, Proof, Twin, shapes};
 use crate::{Scalar, Var, par};
 
-/// Mean and biased variance of a sequence of equally long slices.
-pub(crate) fn moments<'a, T: Scalar>(planes: impl Iterator<Item = &'a [T]> + Clone) -> (f64, f64) {
-    let mut count = 0;
-    let mut total = 0.0;
-    for plane in planes.clone() {
-        count += plane.len();
-        total += sum_map(plane, |v| v);
-    }
-    let mean = total / count as f64;
-    let centre = T::from_f64(mean);
-    let mut squares = 0.0;
-    for plane in planes {
-        squares += sum_map(plane, |v| (v - centre) * (v - centre));
-    }
-    // What rounding the centre to T has added to the squares is taken off again.
-    let rounding = mean - centre.to_f64();
-    (mean, (squares / count as f64 - rounding * rounding).max(0.0))
-}
-
-/// `y = (x - mean) scale + shift`.
-#[inline(always)]
-pub(crate) fn normalise<T: Scalar>(x: &[T], y: &mut [T], mean: T, scale: T, shift: T) {
-    for (o, &v) in y.iter_mut().zip(x) {
-        *o = (v - mean) * scale + shift;
-    }
-}
-
-/// `gx = (g - offset - (x - mean) slope) scale`.
-#[inline(always)]
-pub(crate) fn denormalise<T: Scalar>(g: &[T], x: &[T], gx: &mut [T], mean: T, [offset, slope, scale]: [T; 3]) {
-    for ((o, &g), &x) in gx.iter_mut().zip(g).zip(x) {
-        *o = (g - offset - (x - mean) * slope) * scale;
-    }
-}
-
 fn backward_plane<T: Scalar>(g: &[T], x: &[T], gx: &mut [T], mean: T, inverse: T) {
-    let (total, moment) = sum_and_moment(g, x, mean);
+    let (total, moment) = PassBack { g, x, y: x, centre: mean, activation: Identity, out: gx }.run();
     let count = x.len() as f64;
     let inv = inverse.to_f64();
     let offset = T::from_f64(total / count);
     let slope = T::from_f64(moment / count * inv * inv);
-    denormalise(g, x, gx, mean, [offset, slope, inverse]);
+    Denormalise { g: gx, x, mean, offset, slope, scale: inverse }.run();
 }
 
 impl<'t, T: Scalar> Var<'t, T> {
@@ -71,7 +38,8 @@ impl<'t, T: Scalar> Var<'t, T> {
         let mut y = self.tape().scratch(shape.len());
         for_each_plane(&mut y, plane, |i, out| {
             let (mean, inverse) = statistics[i];
-            normalise(&x.data()[i * plane..][..plane], out, mean, inverse, T::ZERO);
+            let x = &x.data()[i * plane..][..plane];
+            Normalise { x, skip: None, y: out, mean, scale: inverse, shift: T::ZERO, activation: Identity }.run();
         });
         let y = self.tape().tensor(shape, y);
         self.tape().push("instance_norm", y, &[self], move |g, grads| {

@@ -2,58 +2,78 @@
 //!
 //! y[i, j] = max over the window's elements inside the plane.
 //! vjp: g goes to the first maximum in row-major window order.  Kinks: ties, resolved by that rule (as PyTorch).
-//! Keeps: input and output; the winner is looked up again in the backward pass.
+//! Keeps: which element of its window each maximum is.
 //! A NaN in the window gives NaN, and the gradient goes to the first NaN.
+
+use pulp::{Arch, Simd, WithSimd};
 
 use super::planes::{Window, for_each_plane};
 use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
-use crate::{Scalar, Shape, Var};
+use crate::{Scalar, Shape, Var, par};
 
-/// The larger value; NaN where one of the two is NaN.
-#[inline(always)]
-fn larger<T: Scalar>(best: T, v: T) -> T {
-    if best >= v || best.is_nan() { best } else { v }
+/// Maximum and winner of every window of one plane, compiled for every instruction set.
+struct Maxima<'a, T> {
+    x: &'a [T],
+    y: &'a mut [T],
+    /// Which element of its window, in row-major order, each maximum is.
+    winner: &'a mut [T],
+    window: Window,
 }
 
-fn forward_plane<T: Scalar>(x: &[T], y: &mut [T], window: Window) {
-    let Window { width, kernel, stride, padding, .. } = window;
-    let mut column = vec![T::NEG_INFINITY; width + 2 * padding];
-    for (oy, out) in y.chunks_exact_mut(window.out_width).enumerate() {
-        let middle = &mut column[padding..padding + width];
-        middle.fill(T::NEG_INFINITY);
-        for row in window.rows(oy) {
-            for (m, &v) in middle.iter_mut().zip(&x[row * width..][..width]) {
-                *m = larger(*m, v);
+impl<T: Scalar> WithSimd for Maxima<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { x, y, winner, window } = self;
+        let Window { width, kernel, stride, padding, out_width, .. } = window;
+        // One stride more, so that every window's elements begin a whole step.
+        let mut padded = vec![T::NEG_INFINITY; width + 2 * padding + stride];
+        // The elements `column` of all windows of a row, one after another.
+        let mut column = vec![T::ZERO; out_width];
+        let rows = y.chunks_exact_mut(out_width).zip(winner.chunks_exact_mut(out_width));
+        for (oy, (best, winner)) in rows.enumerate() {
+            let inside = window.rows(oy);
+            let above = inside.start + padding - oy * stride;
+            best.fill(T::NEG_INFINITY);
+            for (ox, winner) in winner.iter_mut().enumerate() {
+                *winner = T::from_usize(above * kernel + padding.saturating_sub(ox * stride));
+            }
+            for (k, row) in inside.enumerate() {
+                padded[padding..padding + width].copy_from_slice(&x[row * width..][..width]);
+                for dx in 0..kernel {
+                    every(stride, &padded[dx..], &mut column);
+                    let tap = T::from_usize((above + k) * kernel + dx);
+                    let (best, winner, column) = (&mut best[..out_width], &mut winner[..out_width], &column[..out_width]);
+                    for i in 0..out_width {
+                        // NaN wins over every number, and the first one stays.
+                        let stays = best[i] >= column[i] || best[i].is_nan();
+                        best[i] = if stays { best[i] } else { column[i] };
+                        winner[i] = if stays { winner[i] } else { tap };
+                    }
+                }
             }
         }
-        for (o, values) in out.iter_mut().zip(column.windows(kernel).step_by(stride)) {
-            *o = values.iter().fold(T::NEG_INFINITY, |best, &v| larger(best, v));
-        }
     }
 }
 
-/// Flat index of the first element of the window at `(oy, ox)` that equals `best`.
+/// Copies every `stride`-th element; every second, the usual case, in a loop of its own.
 #[inline(always)]
-fn first_maximum<T: Scalar>(x: &[T], best: T, window: Window, oy: usize, ox: usize) -> Option<usize> {
-    let columns = window.columns(ox);
-    for row in window.rows(oy) {
-        let start = row * window.width + columns.start;
-        let values = &x[start..start + columns.len()];
-        if let Some(i) = values.iter().position(|&v| v == best || (v.is_nan() && best.is_nan())) {
-            return Some(start + i);
-        }
+fn every<T: Scalar>(stride: usize, from: &[T], to: &mut [T]) {
+    if stride == 2 {
+        to.iter_mut().zip(from.as_chunks::<2>().0).for_each(|(to, [from, _])| *to = *from);
+    } else {
+        to.iter_mut().zip(from.iter().step_by(stride)).for_each(|(to, from)| *to = *from);
     }
-    None
 }
 
-fn backward_plane<T: Scalar>(x: &[T], y: &[T], g: &[T], gx: &mut [T], window: Window) {
-    let width = window.out_width;
+fn backward_plane<T: Scalar>(winner: &[T], g: &[T], gx: &mut [T], window: Window) {
+    let Window { width, kernel, stride, padding, out_width, .. } = window;
+    let taps: Vec<usize> = (0..kernel * kernel).map(|tap| tap / kernel * width + tap % kernel).collect();
     gx.fill(T::ZERO);
-    for (oy, (best, grad)) in y.chunks_exact(width).zip(g.chunks_exact(width)).enumerate() {
-        for (ox, (&best, &grad)) in best.iter().zip(grad).enumerate() {
-            if let Some(i) = first_maximum(x, best, window, oy, ox) {
-                gx[i] += grad;
-            }
+    for (oy, (winner, g)) in winner.chunks_exact(out_width).zip(g.chunks_exact(out_width)).enumerate() {
+        for (ox, (&winner, &g)) in winner.iter().zip(g).enumerate() {
+            // The winner is inside, so that the sum is at least the padding.
+            gx[oy * stride * width + ox * stride + taps[winner.to_f64() as usize] - padding * (width + 1)] += g;
         }
     }
 }
@@ -72,19 +92,18 @@ impl<'t, T: Scalar> Var<'t, T> {
         let out_shape = shape.with_plane(window.out_height, window.out_width);
         let (plane, out_plane) = (shape.plane(), out_shape.plane());
         let x = self.value();
-        let mut y = self.tape().scratch(out_shape.len());
-        for_each_plane(&mut y, out_plane, |i, out| {
-            forward_plane(&x.data()[i * plane..][..plane], out, window);
+        let [mut y, mut winners] = [(); 2].map(|()| self.tape().scratch(out_shape.len()));
+        let planes = y.chunks_exact_mut(out_plane).zip(winners.chunks_exact_mut(out_plane)).collect();
+        par::for_each_item(planes, |i, (y, winner)| {
+            Arch::new().dispatch(Maxima { x: &x.data()[i * plane..][..plane], y, winner, window });
         });
-        let y = self.tape().tensor(out_shape, y);
-        let best = y.clone();
+        let [y, winners] = [y, winners].map(|buffer| self.tape().tensor(out_shape, buffer));
         self.tape().push("max_pool2d", y, &[self], move |g, grads| {
             if let Some(mut slot) = grads.slot(0) {
                 slot.write(|gx| {
                     for_each_plane(gx, plane, |i, out| {
                         let outputs = i * out_plane..(i + 1) * out_plane;
-                        let (best, g) = (&best.data()[outputs.clone()], &g.data()[outputs]);
-                        backward_plane(&x.data()[i * plane..][..plane], best, g, out, window);
+                        backward_plane(&winners.data()[outputs.clone()], &g.data()[outputs], out, window);
                     });
                 });
             }

@@ -8,6 +8,7 @@ mod atan2;
 mod avg_pool2d;
 mod axis;
 pub mod batch_norm;
+mod batch_norm_activated;
 pub mod bilinear_sample;
 mod binary;
 mod blocks;
@@ -17,6 +18,7 @@ mod clamp;
 mod concat;
 pub(crate) mod conv;
 pub mod conv2d;
+mod conv2d_activated;
 mod convex_upsample;
 mod correlation;
 mod correlation_lookup;
@@ -50,6 +52,7 @@ mod min_max;
 mod minimum;
 mod mul;
 mod neg;
+mod norm;
 pub mod pad;
 mod pad_reflect;
 mod pad_replicate;
@@ -97,12 +100,15 @@ pub(crate) fn proofs() -> Vec<Proof> {
         avg_pool2d::proof(),
         batch_norm::proof(),
         batch_norm::eval_proof(),
+        batch_norm_activated::proof(),
+        batch_norm_activated::eval_proof(),
         bilinear_sample::proof(),
         box_mean::proof(),
         broadcast_to::proof(),
         clamp::proof(),
         concat::proof(),
         conv2d::proof(),
+        conv2d_activated::proof(),
         convex_upsample::proof(),
         correlation::proof(),
         correlation_lookup::proof(),

@@ -3,15 +3,16 @@
 //! NaN stays NaN, in the value and in the gradient.
 
 use super::{kernel, unary};
+use crate::activation::{self, Activate};
 use crate::proof::{Number, Plain, Proof, Twin};
 use crate::{Scalar, Var};
 
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
-    kernel::map(y, x, |x| if x <= T::ZERO { T::ZERO } else { x });
+    kernel::map(y, x, |x| activation::Relu.of(x));
 }
 
 fn backward<T: Scalar>(y: &[T], grad_y: &[T], grad_x: &mut [T]) {
-    kernel::zip(grad_x, y, grad_y, |y, g| if y <= T::ZERO { T::ZERO } else { g });
+    kernel::zip(grad_x, y, grad_y, |y, g| activation::Relu.back(y, g));
 }
 
 impl<'t, T: Scalar> Var<'t, T> {

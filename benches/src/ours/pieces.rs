@@ -1,10 +1,10 @@
-//! Batch norm and the element-wise and pooling pieces of the networks.
+//! Batch norm, alone and with what follows it, and the element-wise and pooling pieces of the networks.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
-use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
+use dimode_autodiff::{Activation, Pool, Shape, Tape, Tensor, Var};
 use serde_json::{Value, json};
 
 use crate::case::{Case, Ours, Results, seeded, timed};
@@ -24,23 +24,27 @@ const fn piece(name: &'static str, op: &'static str, shapes: &'static [[usize; 4
 }
 
 /// What the networks have beside convolutions.
-pub const PIECES: [PieceCase; 10] = [
+pub const PIECES: [PieceCase; 14] = [
     piece("batch norm 64 48x160", "batch_norm", &[[1, 64, 48, 160]]),
     piece("batch norm 64 48x160 b4", "batch_norm", &[[4, 64, 48, 160]]),
     piece("batch norm 32 32x96 b4", "batch_norm", &[[4, 32, 32, 96]]),
+    piece("batch norm + ReLU 64 48x160", "batch_norm_relu", &[[1, 64, 48, 160]]),
+    piece("batch norm + skip + ReLU 64 48x160", "batch_norm_skip_relu", &[[1, 64, 48, 160], [1, 64, 48, 160]]),
+    piece("batch norm + skip + ReLU 32 32x96 b4", "batch_norm_skip_relu", &[[4, 32, 32, 96], [4, 32, 32, 96]]),
     piece("ELU 16 192x640", "elu", &[[1, 16, 192, 640]]),
     piece("ReLU 16 192x640", "relu", &[[1, 16, 192, 640]]),
     piece("sigmoid 16 192x640", "sigmoid", &[[1, 16, 192, 640]]),
     piece("exp 16 192x640", "exp", &[[1, 16, 192, 640]]),
     piece("reflection pad 16 192x640", "reflect_pad", &[[1, 16, 192, 640]]),
     piece("upsample + concat 64+64 48x160", "up2_concat", &[[1, 64, 24, 80], [1, 64, 48, 160]]),
+    piece("bilinear resize 1 96x320 to 192x640 b4", "resize", &[[4, 1, 96, 320]]),
     piece("max pool 3x3 stride 2 64 48x160", "max_pool", &[[1, 64, 48, 160]]),
 ];
 
 impl PieceCase {
     /// Whether it is a batch norm.
     pub fn is_norm(&self) -> bool {
-        self.op == "batch_norm"
+        self.op.starts_with("batch_norm")
     }
 
     fn output_shape(&self) -> Shape {
@@ -48,6 +52,7 @@ impl PieceCase {
         match self.op {
             "reflect_pad" => Shape::new(n, c, h + 2, w + 2),
             "up2_concat" => Shape::new(n, c + self.shapes[1][1], 2 * h, 2 * w),
+            "resize" => Shape::new(n, c, 2 * h, 2 * w),
             "max_pool" => Shape::new(n, c, h / 2, w / 2),
             _ => Shape::new(n, c, h, w),
         }
@@ -100,6 +105,9 @@ struct Piece {
 
 fn apply<'t>(op: &str, x: &[Var<'t, f32>]) -> Var<'t, f32> {
     match op {
+        "batch_norm_relu" => x[0].batch_norm_train_activated(x[1], x[2], 1e-5, None, Activation::Relu).y,
+        "batch_norm_skip_relu" => x[0].batch_norm_train_activated(x[2], x[3], 1e-5, Some(x[1]), Activation::Relu).y,
+        "resize" => x[0].resize_bilinear(2 * x[0].shape().h(), 2 * x[0].shape().w(), false),
         "batch_norm" => x[0].batch_norm_train(x[1], x[2], 1e-5).y,
         "elu" => x[0].elu(),
         "relu" => x[0].relu(),

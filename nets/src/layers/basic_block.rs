@@ -1,6 +1,6 @@
 //! The two-convolution residual block of ResNet-18.
 
-use dimode_autodiff::{Scalar, Var};
+use dimode_autodiff::{Activation, Scalar, Var};
 
 use super::{BatchNorm, ConvLayer};
 use crate::{Binder, Blueprint};
@@ -50,10 +50,6 @@ impl BasicBlock {
 
     /// (N, in, H, W) -> (N, out, H / stride, W / stride).
     pub fn forward<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
-        let y = self.conv1.forward(binder, x);
-        let y = self.norm1.forward(binder, y).relu();
-        let y = self.conv2.forward(binder, y);
-        let y = self.norm2.forward(binder, y);
         let skip = match &self.skip {
             None => x,
             Some((conv, norm)) => {
@@ -61,6 +57,9 @@ impl BasicBlock {
                 norm.forward(binder, skip)
             }
         };
-        y.add(skip).relu()
+        let y = self.conv1.forward(binder, x);
+        let y = self.norm1.activated(binder, y, None, Activation::Relu);
+        let y = self.conv2.forward(binder, y);
+        self.norm2.activated(binder, y, Some(skip), Activation::Relu)
     }
 }

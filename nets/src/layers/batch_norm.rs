@@ -1,6 +1,6 @@
 //! Batch normalisation with running statistics.
 
-use dimode_autodiff::{Scalar, Tensor, Var};
+use dimode_autodiff::{Activation, Scalar, Tensor, Var};
 
 use crate::{Binder, Blueprint, Init, Mode, StatisticsUpdate};
 
@@ -39,16 +39,26 @@ impl BatchNorm {
 
     /// (N, C, H, W) -> the same.
     pub fn forward<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
+        self.activated(binder, x, None, Activation::Identity)
+    }
+
+    /// The same, then `skip` is added and the activation taken, in one operation.
+    pub fn activated<'t, T: Scalar>(
+        &self,
+        binder: &mut Binder<'t, T>,
+        x: Var<'t, T>,
+        skip: Option<Var<'t, T>>,
+        activation: Activation,
+    ) -> Var<'t, T> {
         let gamma = binder.param(&self.part("weight"));
         let beta = binder.param(&self.part("bias"));
         match binder.mode() {
             Mode::Eval => {
-                let mean = binder.buffer(&self.part("running_mean"));
-                let variance = binder.buffer(&self.part("running_var"));
-                x.batch_norm_eval(gamma, beta, mean, variance, EPSILON)
+                let statistics = ["running_mean", "running_var"].map(|part| binder.buffer(&self.part(part)));
+                x.batch_norm_eval_activated(gamma, beta, statistics, EPSILON, skip, activation)
             }
             Mode::Train => {
-                let out = x.batch_norm_train(gamma, beta, EPSILON);
+                let out = x.batch_norm_train_activated(gamma, beta, EPSILON, skip, activation);
                 let count = x.shape().n() * x.shape().plane();
                 binder.record_statistics(StatisticsUpdate {
                     layer: self.path.clone(),

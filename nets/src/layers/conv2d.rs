@@ -1,6 +1,6 @@
 //! A convolution with named weight and optional bias.
 
-use dimode_autodiff::{Conv2d, PadMode, Scalar, Var};
+use dimode_autodiff::{Activation, Conv2d, PadMode, Scalar, Var};
 
 use crate::{Binder, Blueprint, Init};
 
@@ -117,8 +117,17 @@ impl ConvLayer {
 
     /// (N, in, H, W) -> (N, out, H', W').
     pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
-        let weight = binder.param(&self.weight_path());
-        let bias = self.bias.then(|| binder.param(&self.bias_path()));
+        let (weight, bias) = self.bind(binder);
         x.conv2d(weight, bias, self.options)
+    }
+
+    /// The same, and the activation of the result, in one operation.
+    pub fn activated<'t, T: Scalar>(&self, binder: &Binder<'t, T>, x: Var<'t, T>, activation: Activation) -> Var<'t, T> {
+        let (weight, bias) = self.bind(binder);
+        x.conv2d_activated(weight, bias, self.options, activation)
+    }
+
+    fn bind<'t, T: Scalar>(&self, binder: &Binder<'t, T>) -> (Var<'t, T>, Option<Var<'t, T>>) {
+        (binder.param(&self.weight_path()), self.bias.then(|| binder.param(&self.bias_path())))
     }
 }

@@ -1,6 +1,6 @@
 //! The unit of the depth decoders: 3x3 convolution over a reflected border, then ELU.
 
-use dimode_autodiff::{Scalar, Var};
+use dimode_autodiff::{Activation, Scalar, Var};
 
 use super::ConvLayer;
 use crate::{Binder, Blueprint};
@@ -29,7 +29,7 @@ impl ReflectConv {
 
     /// (N, in, H, W) -> (N, out, H, W); height and width at least 2.
     pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
-        self.linear(binder, x).elu()
+        self.conv.activated(binder, x, Activation::Elu)
     }
 
     /// The same without the ELU, for heads.

@@ -1,6 +1,6 @@
 //! Features of the current flow and of what the correlation says about it.
 
-use dimode_autodiff::{Scalar, Var};
+use dimode_autodiff::{Activation, Scalar, Var};
 
 use super::FlowNetConfig;
 use crate::layers::ConvLayer;
@@ -33,13 +33,13 @@ impl MotionEncoder {
 
     /// Look-up (N, L, h, w) and flow (N, 2, h, w) -> (N, motion + 2, h, w), the flow itself last.
     pub(super) fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, lookup: Var<'t, T>, flow: Var<'t, T>) -> Var<'t, T> {
-        let correlation = self.correlation.forward(binder, lookup).relu();
+        let correlation = self.correlation.activated(binder, lookup, Activation::Relu);
         let mut branch = flow;
         for conv in &self.flow {
-            branch = conv.forward(binder, branch).relu();
+            branch = conv.activated(binder, branch, Activation::Relu);
         }
         let joint = Var::concat(&[correlation, branch], 1);
-        let motion = self.joint.forward(binder, joint).relu();
+        let motion = self.joint.activated(binder, joint, Activation::Relu);
         Var::concat(&[motion, flow], 1)
     }
 }

@@ -1,6 +1,6 @@
 //! One refinement step: motion features, recurrent unit, flow head.
 
-use dimode_autodiff::{Scalar, Var};
+use dimode_autodiff::{Activation, Scalar, Var};
 
 use super::FlowNetConfig;
 use super::gru::{Gru, GruState};
@@ -51,7 +51,7 @@ impl UpdateBlock {
         let motion = self.encoder.forward(binder, lookup, flow);
         let hidden = gru.step(hidden, motion);
         let [first, second] = &self.head;
-        let delta = first.forward(binder, hidden).relu();
+        let delta = first.activated(binder, hidden, Activation::Relu);
         (hidden, second.forward(binder, delta))
     }
 }

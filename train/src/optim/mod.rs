@@ -3,19 +3,12 @@
 pub mod adamw;
 pub mod schedule;
 
-use dimode_autodiff::par;
+use dimode_autodiff::ops::kernel;
 use dimode_nets::ParamGradient;
 
 /// Euclidean norm of all gradients together.
 pub fn gradient_norm(gradients: &[ParamGradient<f32>]) -> f64 {
-    gradients
-        .iter()
-        .map(|g| {
-            let data = g.gradient.data();
-            par::sum(data.len(), |range| data[range].iter().map(|&x| f64::from(x) * f64::from(x)).sum())
-        })
-        .sum::<f64>()
-        .sqrt()
+    gradients.iter().map(|g| kernel::sum_of_squares(g.gradient.data())).sum::<f64>().sqrt()
 }
 
 /// Factor that brings a gradient of the given norm down to `limit`; 1 when it is below, or when `limit` is 0.
