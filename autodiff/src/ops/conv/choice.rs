@@ -28,6 +28,8 @@ pub enum Algorithm {
     Pointwise,
     /// Plane by plane: no channels are mixed, stride 1.
     Depthwise,
+    /// 16 products for four outputs: 3 x 3, stride 1, no dilation, one group, many channels.
+    Winograd,
     /// Shifted planes times broadcast weights: everything else.
     Direct,
 }
@@ -40,7 +42,18 @@ pub fn algorithm(l: &Layout) -> Algorithm {
         Algorithm::Pointwise
     } else if l.cin == 1 && l.cout == 1 && l.is_dense() {
         Algorithm::Depthwise
+    } else if pays_winograd(l) {
+        Algorithm::Winograd
     } else {
         Algorithm::Direct
     }
+}
+
+/// Whether Winograd's scheme fits and is faster.
+fn pays_winograd(l: &Layout) -> bool {
+    // With fewer channels, tiles cost more than they save.
+    let channels = l.cin.min(l.cout) >= 16 && l.cin * l.cout >= 512;
+    // With fewer tiles, the weights do.
+    let tiles = l.output.n() * l.output.h().div_ceil(2) * l.output.w().div_ceil(2);
+    l.is_winograd() && channels && tiles >= 64
 }

@@ -82,6 +82,12 @@ impl Layout {
         self.stride == (1, 1)
     }
 
+    /// Whether Winograd's scheme fits: a kernel of 3 x 3 taps next to each other, stride 1, one group, at most the full padding.
+    pub fn is_winograd(&self) -> bool {
+        let (above, before) = self.padding();
+        self.is_dense() && self.groups == 1 && self.taps == 9 && self.reach() == (2, 2) && above.max(before) <= 2
+    }
+
     /// Elements of one phase plane.
     pub fn phase_len(&self) -> usize {
         self.phase_h * self.phase_w
@@ -155,11 +161,16 @@ impl Layout {
             let first = pad.saturating_sub(phase).div_ceil(step).min(row.len());
             let from = first * step + phase - pad;
             let last = (first + x.len().saturating_sub(from).div_ceil(step)).min(row.len());
-            let inner = row[first..last].iter_mut();
-            // The step of nearly all convolutions is written out: known to the compiler, it costs half the time.
-            match step {
-                2 => inner.zip(x[from.min(x.len())..].chunks(2)).for_each(|(o, x)| *o = x[0]),
-                _ => inner.zip(x[from.min(x.len())..].chunks(step)).for_each(|(o, x)| *o = x[0]),
+            let (inner, x_inner) = (&mut row[first..last], &x[from.min(x.len())..]);
+            if step == 2 {
+                // The step of nearly all convolutions, in whole pairs: the compiler makes vectors of it.
+                let pairs = x_inner.as_chunks::<2>().0;
+                inner.iter_mut().zip(pairs).for_each(|(o, pair)| *o = pair[0]);
+                if inner.len() > pairs.len() {
+                    inner[pairs.len()] = x_inner[2 * pairs.len()];
+                }
+            } else {
+                inner.iter_mut().zip(x_inner.chunks(step)).for_each(|(o, x)| *o = x[0]);
             }
             for i in (0..first).chain(last..row.len()) {
                 row[i] = self.cols.get(i * step + phase).copied().flatten().map_or(T::ZERO, |c| x[c]);
@@ -252,7 +263,7 @@ impl Layout {
 }
 
 /// Which source index each padded position reads.
-fn source_indices(len: usize, pad: usize, mode: PadMode) -> Vec<Option<usize>> {
+pub fn source_indices(len: usize, pad: usize, mode: PadMode) -> Vec<Option<usize>> {
     (0..len + 2 * pad)
         .map(|i| {
             let i = i as isize - pad as isize;

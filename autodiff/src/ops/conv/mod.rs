@@ -10,6 +10,8 @@ mod pointwise;
 mod weight;
 pub mod weight_grad;
 pub mod weight_outer;
+mod winograd;
+pub mod winograd_kernels;
 
 use std::sync::Arc;
 
@@ -23,6 +25,7 @@ pub(super) fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]
     match algorithm(l) {
         Algorithm::Pointwise => pointwise::forward(l, x, w, bias, pool),
         Algorithm::Depthwise => depthwise::forward(l, x, w, bias, pool),
+        Algorithm::Winograd => winograd::forward(l, x, w, bias, pool),
         Algorithm::Direct => forward::forward(l, x, w, bias, pool),
     }
 }
@@ -32,6 +35,7 @@ pub(super) fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [
     match algorithm(l) {
         Algorithm::Pointwise => pointwise::backward_input(l, g, w, dx),
         Algorithm::Depthwise => depthwise::backward_input(l, g, w, dx, pool),
+        Algorithm::Winograd => winograd::backward_input(l, g, w, dx, pool),
         Algorithm::Direct => backward_input::backward_input(l, g, w, dx, pool),
     }
 }
@@ -41,7 +45,7 @@ pub(super) fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut 
     match algorithm(l) {
         Algorithm::Pointwise => pointwise::backward_weight(l, x, g, dw),
         Algorithm::Depthwise => depthwise::backward_weight(l, x, g, dw, pool),
-        Algorithm::Direct => weight::backward_weight(l, x, g, dw, pool),
+        Algorithm::Winograd | Algorithm::Direct => weight::backward_weight(l, x, g, dw, pool),
     }
 }
 
@@ -57,6 +61,18 @@ pub trait ConvScalar: Sized {
     /// Runs its weight gradient.
     #[doc(hidden)]
     fn run_products(task: depthwise::Products<'_, Self>);
+    /// Transforms weights of a Winograd product.
+    #[doc(hidden)]
+    fn run_winograd_weights(task: winograd_kernels::Weights<'_, Self>);
+    /// Transforms an input plane of a Winograd product.
+    #[doc(hidden)]
+    fn run_winograd_inputs(task: winograd_kernels::Inputs<'_, '_, Self>);
+    /// Runs a Winograd product.
+    #[doc(hidden)]
+    fn run_winograd_products(task: winograd_kernels::Products<'_, Self>);
+    /// Transforms a Winograd product to an output plane.
+    #[doc(hidden)]
+    fn run_winograd_outputs(task: winograd_kernels::Outputs<'_, Self>);
     /// Runs a weight gradient, `[output][pair]`.
     #[doc(hidden)]
     fn run_weight_grad(task: weight_grad::WeightGrad<'_, Self>) -> Vec<f64>;
@@ -75,6 +91,18 @@ macro_rules! conv_scalar {
                 task.run();
             }
             fn run_products(task: depthwise::Products<'_, Self>) {
+                task.run();
+            }
+            fn run_winograd_weights(task: winograd_kernels::Weights<'_, Self>) {
+                task.run();
+            }
+            fn run_winograd_inputs(task: winograd_kernels::Inputs<'_, '_, Self>) {
+                task.run();
+            }
+            fn run_winograd_products(task: winograd_kernels::Products<'_, Self>) {
+                task.run();
+            }
+            fn run_winograd_outputs(task: winograd_kernels::Outputs<'_, Self>) {
                 task.run();
             }
             fn run_weight_grad(task: weight_grad::WeightGrad<'_, Self>) -> Vec<f64> {

@@ -1,0 +1,440 @@
+//! Kernels of 3 x 3, stride 1, by Winograd's scheme F(2x2, 3x3): every 2 x 2 tile of outputs takes 16 products instead of 36
+//! (Lavin and Gray 2016, arXiv 1509.09308). Numbers are only halved, added and multiplied, and no output depends on an input
+//! outside its own 3 x 3 window: zeros and NaN go no further than in the direct product.
+//!
+//! Inputs are transformed into 16 planes of tiles, so are the weights, and each plane is a matrix product of its own. A unit of work
+//! is a block of rows of tiles with all outputs, whose planes stay in the second-level cache; where there are few such blocks, it is
+//! a block and a group of outputs, and the inputs are transformed before.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use super::backward_input::store_dense;
+use super::layout::{Layout, source_indices};
+use super::winograd_kernels::{BLOCK, GROUP, Inputs, Outputs, PRODUCTS, Products, Weights};
+use crate::{PadMode, Pool, Scalar, par};
+
+/// Tiles of a block times input channels, about.
+const BLOCK_SIZE: usize = 12_288;
+/// Blocks that are enough for every thread to have some.
+const ENOUGH: usize = 4;
+/// Elements between products: they would share one place of the nearest cache otherwise.
+const SKEW: usize = 16;
+/// Input channels that are transformed as one item.
+const CHANNELS: usize = 8;
+/// Input channels after which partial sums are put down, so that what is read again and again stays in the nearest cache.
+const SUMMED: usize = 128;
+
+/// `y = w * x + b`.
+pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
+    let mut y = pool.take(l.output.len());
+    let task = Winograd {
+        x,
+        size: [l.input.n(), l.cin, l.input.h(), l.input.w()],
+        rows: &l.rows,
+        cols: &l.cols,
+        w,
+        steps: [l.cin * l.taps, l.taps],
+        turned: false,
+        bias,
+        outputs: l.cout,
+        out_size: [l.output.h(), l.output.w()],
+    };
+    task.run(&mut y, pool);
+    y
+}
+
+/// Fills `dx`, whatever it held: the same convolution of the output gradient with the weights turned, padded to the full.
+pub fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], pool: &Arc<Pool<T>>) {
+    let (above, before) = l.padding();
+    let zero = l.pad_mode == PadMode::Zero;
+    // No reader wants what falls outside the image, unless the padding read it from inside.
+    let (above, before) = if zero { (2 - above, 2 - before) } else { (2, 2) };
+    let [n, h, w_out] = [l.output.n(), l.output.h(), l.output.w()];
+    let out_size = if zero { [l.input.h(), l.input.w()] } else { [l.rows.len(), l.cols.len()] };
+    let task = Winograd {
+        x: g,
+        size: [n, l.cout, h, w_out],
+        rows: &source_indices(h, above, PadMode::Zero),
+        cols: &source_indices(w_out, before, PadMode::Zero),
+        w,
+        steps: [l.taps, l.cin * l.taps],
+        turned: true,
+        bias: None,
+        outputs: l.cin,
+        out_size,
+    };
+    if zero {
+        task.run(dx, pool);
+        return;
+    }
+    let plane = out_size[0] * out_size[1];
+    let mut padded = pool.take(l.input.planes() * plane);
+    task.run(&mut padded, pool);
+    par::for_each_chunk(dx, l.input.plane(), |i, dx| {
+        let rows = padded[i * plane..][..plane].chunks_exact(out_size[1]).zip(0..out_size[0]);
+        store_dense(l, rows, 0, dx);
+    });
+    pool.give(padded);
+}
+
+/// One convolution.
+struct Winograd<'a, T> {
+    x: &'a [T],
+    /// Images, channels, rows and columns of `x`.
+    size: [usize; 4],
+    /// Source row and column of every padded row and column.
+    rows: &'a [Option<usize>],
+    cols: &'a [Option<usize>],
+    /// Weights: see [`Weights`].
+    w: &'a [T],
+    steps: [usize; 2],
+    turned: bool,
+    bias: Option<&'a [T]>,
+    outputs: usize,
+    /// Rows and columns of an output plane.
+    out_size: [usize; 2],
+}
+
+/// A block of rows of tiles with a group of outputs.
+struct Part<'a, T> {
+    block: usize,
+    group: usize,
+    /// The block's rows of every output of the group, span by span.
+    out: Vec<&'a mut [T]>,
+}
+
+/// Sizes of the transformed planes.
+struct Sizes {
+    /// Rows of tiles in an image and in a block at most, columns of tiles.
+    high: usize,
+    block: usize,
+    wide: usize,
+    /// Elements of a channel's plane in a block, and of all channels of a product.
+    pitch: usize,
+    step: usize,
+    /// Blocks, groups of outputs, outputs in a group.
+    blocks: usize,
+    groups: usize,
+    group: usize,
+    /// Elements of the weights of a product, a group and [`SUMMED`] channels.
+    weights_step: usize,
+}
+
+impl<T: Scalar> Winograd<'_, T> {
+    fn sizes(&self) -> Sizes {
+        let [images, channels, ..] = self.size;
+        let (high, wide) = (self.out_size[0].div_ceil(2), self.out_size[1].div_ceil(2));
+        let most = (BLOCK_SIZE / channels).clamp(128, 192) / wide;
+        let blocks = (images * high).div_ceil(most.max(1));
+        let block = (images * high).div_ceil(blocks);
+        // Whole cache lines, an odd number of them: channels would share few places of the nearest cache otherwise.
+        let lines = ((block - 1) * wide + wide.next_multiple_of(16)).div_ceil(16);
+        let pitch = if lines > 3 { lines | 1 } else { lines } * 16;
+        let blocks = (images * high).div_ceil(block);
+        let group = if blocks < ENOUGH { GROUP } else { GROUP / 2 };
+        Sizes {
+            high,
+            block,
+            wide,
+            pitch,
+            step: channels * pitch + SKEW,
+            blocks,
+            groups: self.outputs.div_ceil(group),
+            group,
+            weights_step: channels.min(SUMMED) * group + SKEW,
+        }
+    }
+
+    fn run(&self, out: &mut [T], pool: &Arc<Pool<T>>) {
+        let sizes = self.sizes();
+        let (blocks, groups) = (sizes.blocks, sizes.groups);
+        // Weights that several blocks need.
+        let weights = (blocks > 1).then(|| {
+            let sums = self.size[1].div_ceil(SUMMED);
+            let mut all = pool.take(groups * sums * PRODUCTS * sizes.weights_step);
+            par::for_each_chunk(&mut all, PRODUCTS * sizes.weights_step, |i, out| {
+                self.transform_weights(&sizes, i / sums, i % sums * SUMMED, out)
+            });
+            all
+        });
+        // Inputs that several units need.
+        let inputs = (blocks < ENOUGH).then(|| {
+            let mut all = pool.take(blocks * PRODUCTS * sizes.step);
+            let blocks = all.chunks_exact_mut(PRODUCTS * sizes.step).enumerate();
+            let items = blocks.flat_map(|(block, all)| channel_items(all, &sizes).into_iter().map(move |item| (block, item)));
+            par::for_each_item(items.collect(), |i, (block, mut item)| {
+                let first = i % self.size[1].div_ceil(CHANNELS) * CHANNELS;
+                self.transform_inputs(&sizes, block, first, &mut item, pool);
+            });
+            all
+        });
+        let together = if inputs.is_some() { 1 } else { groups };
+        let mut parts = self.parts(&sizes, out).into_iter();
+        let units: Vec<Vec<_>> = (0..blocks * groups / together).map(|_| parts.by_ref().take(together).collect()).collect();
+        par::for_each_item(units, |_, unit| {
+            let own = inputs.is_none().then(|| {
+                let mut own = pool.take(PRODUCTS * sizes.step);
+                for (i, mut item) in channel_items(&mut own, &sizes).into_iter().enumerate() {
+                    self.transform_inputs(&sizes, unit[0].block, i * CHANNELS, &mut item, pool);
+                }
+                own
+            });
+            for part in unit {
+                let inputs = match (&own, &inputs) {
+                    (Some(own), _) => own,
+                    (_, all) => &all.as_deref().expect("transformed before")[part.block * PRODUCTS * sizes.step..],
+                };
+                self.multiply(&sizes, inputs, weights.as_deref(), part, pool);
+            }
+            own.into_iter().for_each(|own| pool.give(own));
+        });
+        weights.into_iter().chain(inputs).for_each(|buffer| pool.give(buffer));
+    }
+
+    /// Images of a block, with their rows of tiles.
+    fn spans(&self, sizes: &Sizes, block: usize) -> Vec<(usize, Range<usize>)> {
+        let (mut row, end) = (block * sizes.block, (self.size[0] * sizes.high).min((block + 1) * sizes.block));
+        let mut spans = Vec::new();
+        while row < end {
+            let (image, first) = (row / sizes.high, row % sizes.high);
+            let rows = (end - row).min(sizes.high - first);
+            spans.push((image, first..first + rows));
+            row += rows;
+        }
+        spans
+    }
+
+    /// The output, block by block, group by group.
+    fn parts<'a>(&self, sizes: &Sizes, out: &'a mut [T]) -> Vec<Part<'a, T>> {
+        let [high, wide] = self.out_size;
+        let mut planes: Vec<_> = out.chunks_exact_mut(high * wide).collect();
+        let mut parts = Vec::new();
+        for block in 0..sizes.blocks {
+            let spans = self.spans(sizes, block);
+            for group in 0..sizes.groups {
+                let mut out = Vec::new();
+                for (image, rows) in &spans {
+                    let len = ((2 * rows.end).min(high) - 2 * rows.start) * wide;
+                    let first = image * self.outputs + group * sizes.group;
+                    for plane in &mut planes[first..first + self.outputs_of(sizes, group)] {
+                        out.push(plane.split_off_mut(..len).expect("every plane has all blocks"));
+                    }
+                }
+                parts.push(Part { block, group, out });
+            }
+        }
+        parts
+    }
+
+    fn outputs_of(&self, sizes: &Sizes, group: usize) -> usize {
+        sizes.group.min(self.outputs - group * sizes.group)
+    }
+
+    /// Weights of a group and of up to [`SUMMED`] channels from `first` on.
+    fn transform_weights(&self, sizes: &Sizes, group: usize, first: usize, out: &mut [T]) {
+        T::run_winograd_weights(Weights {
+            w: &self.w[group * sizes.group * self.steps[0] + first * self.steps[1]..],
+            steps: self.steps,
+            turned: self.turned,
+            outputs: self.outputs_of(sizes, group),
+            channels: SUMMED.min(self.size[1] - first),
+            width: sizes.group,
+            out,
+            step: sizes.weights_step,
+        });
+    }
+
+    /// Some channels of a block from `first` on.
+    fn transform_inputs(&self, sizes: &Sizes, block: usize, first: usize, out: &mut Item<'_, T>, pool: &Pool<T>) {
+        let [_, channels, high, wide] = self.size;
+        let plane = high * wide;
+        let mut scratch = pool.take(Inputs::<T>::scratch([sizes.block, sizes.wide]));
+        for c in first..channels.min(first + CHANNELS) {
+            let mut start = (c - first) * sizes.pitch;
+            for (image, rows) in self.spans(sizes, block) {
+                let tiles = [rows.len(), sizes.wide];
+                T::run_winograd_inputs(Inputs {
+                    x: &self.x[(image * channels + c) * plane..][..plane],
+                    width: wide,
+                    rows: &self.rows[2 * rows.start..],
+                    cols: self.cols,
+                    pad: (self.cols.len() - wide) / 2,
+                    tiles,
+                    scratch: &mut scratch[..Inputs::<T>::scratch(tiles)],
+                    out,
+                    start,
+                });
+                start += rows.len() * sizes.wide;
+            }
+        }
+        pool.give(scratch);
+    }
+
+    /// The products of a block and a group, and the outputs from them. Transforms weights where they were not before.
+    fn multiply(&self, sizes: &Sizes, inputs: &[T], all_weights: Option<&[T]>, mut part: Part<'_, T>, pool: &Pool<T>) {
+        let channels = self.size[1];
+        let count = self.outputs_of(sizes, part.group);
+        let outputs = count.next_multiple_of(BLOCK);
+        let spans = self.spans(sizes, part.block);
+        let mut products = pool.take(PRODUCTS * outputs * sizes.pitch);
+        let mut own = pool.take(if all_weights.is_some() { 0 } else { PRODUCTS * sizes.weights_step });
+        for (i, first) in (0..channels).step_by(SUMMED).enumerate() {
+            let weights = match all_weights {
+                Some(all) => {
+                    &all[(part.group * channels.div_ceil(SUMMED) + i) * PRODUCTS * sizes.weights_step..]
+                        [..PRODUCTS * sizes.weights_step]
+                }
+                None => {
+                    self.transform_weights(sizes, part.group, first, &mut own);
+                    &own
+                }
+            };
+            T::run_winograd_products(Products {
+                weights,
+                width: sizes.group,
+                weights_step: sizes.weights_step,
+                inputs: &inputs[first * sizes.pitch..],
+                step: sizes.step,
+                pitch: sizes.pitch,
+                channels: SUMMED.min(channels - first),
+                len: spans.iter().map(|(_, rows)| rows.len() * sizes.wide).sum(),
+                outputs,
+                out: &mut products,
+                add: first > 0,
+            });
+        }
+        pool.give(own);
+        let mut scratch = pool.take(Outputs::<T>::scratch(sizes.wide));
+        let mut start = 0;
+        for ((_, rows), out) in spans.iter().zip(part.out.chunks_exact_mut(count)) {
+            for (o, out) in out.iter_mut().enumerate() {
+                T::run_winograd_outputs(Outputs {
+                    products: &products[o * sizes.pitch + start..],
+                    step: outputs * sizes.pitch,
+                    tiles: sizes.wide,
+                    bias: self.bias.map_or(T::ZERO, |b| b[part.group * sizes.group + o]),
+                    scratch: &mut scratch,
+                    out,
+                    width: self.out_size[1],
+                });
+            }
+            start += rows.len() * sizes.wide;
+        }
+        pool.give(scratch);
+        pool.give(products);
+    }
+}
+
+/// Some channels of every product.
+type Item<'a, T> = [&'a mut [T]; PRODUCTS];
+
+/// The planes of a block, [`CHANNELS`] channels to an item.
+fn channel_items<'a, T>(planes: &'a mut [T], sizes: &Sizes) -> Vec<Item<'a, T>> {
+    let len = sizes.step - SKEW;
+    let channels = len / sizes.pitch;
+    let mut items: Vec<Item<'a, T>> = (0..channels.div_ceil(CHANNELS)).map(|_| Default::default()).collect();
+    for (product, planes) in planes.chunks_exact_mut(sizes.step).enumerate() {
+        for (item, some) in items.iter_mut().zip(planes[..len].chunks_mut(CHANNELS * sizes.pitch)) {
+            item[product] = some;
+        }
+    }
+    items
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{backward_input as direct_input, forward as direct};
+    use super::*;
+    use crate::gradcheck::random;
+    use crate::{Conv2d, Shape, Tensor};
+
+    /// Image, outputs and attributes: odd and even sizes, one block and several, groups not full, sums put down between.
+    fn cases() -> Vec<(Shape, usize, Conv2d)> {
+        let padded = |rows, columns| Conv2d { padding: (rows, columns), ..Conv2d::default() };
+        vec![
+            (Shape::new(1, 1, 3, 3), 1, padded(0, 0)),
+            (Shape::new(2, 3, 5, 6), 9, padded(1, 1)),
+            (Shape::new(3, 5, 4, 7), 3, padded(2, 0)),
+            (Shape::new(1, 9, 37, 41), 70, padded(1, 2)),
+            (Shape::new(2, 130, 6, 5), 67, padded(1, 1)),
+            (Shape::new(2, 3, 31, 22), 4, padded(1, 1).reflect()),
+            (Shape::new(1, 4, 7, 150), 2, padded(2, 1).reflect()),
+            (Shape::new(2, 2, 6, 1), 3, padded(1, 2).replicate()),
+        ]
+    }
+
+    fn layout(x: Shape, outputs: usize, conv: &Conv2d) -> (Layout, Shape) {
+        let w = Shape::new(outputs, x.c(), 3, 3);
+        let l = Layout::new(x, w, conv.output_shape(x, w), conv);
+        assert!(l.is_winograd());
+        (l, w)
+    }
+
+    fn equals_the_direct_product<T: Scalar>(tolerance: f64) {
+        for (case, (shape, outputs, conv)) in cases().into_iter().enumerate() {
+            let (l, weight) = layout(shape, outputs, &conv);
+            let (pool, channels) = (Pool::<T>::new(), shape.c());
+            let (x, w) = (random::<T>(1, shape, -1.0, 1.0), random::<T>(2, weight, -1.0, 1.0));
+            let (b, g) = (random::<T>(3, Shape::new(1, outputs, 1, 1), -1.0, 1.0), random::<T>(4, l.output, -1.0, 1.0));
+            let close = |found: &[T], wanted: &[T], sums: usize| {
+                for (a, b) in found.iter().zip(wanted) {
+                    let error = (a.to_f64() - b.to_f64()).abs();
+                    assert!(error < tolerance * (9.0 * sums as f64).sqrt(), "case {case}: {a} against {b}");
+                }
+            };
+            let bias = Some(b.data());
+            let y = forward(&l, x.data(), w.data(), bias, &pool);
+            close(&y, &direct::forward(&l, x.data(), w.data(), bias, &pool), channels);
+            let mut dx = [(); 2].map(|()| vec![T::from_f64(f64::NAN); shape.len()]);
+            backward_input(&l, g.data(), w.data(), &mut dx[0], &pool);
+            direct_input::backward_input(&l, g.data(), w.data(), &mut dx[1], &pool);
+            close(&dx[0], &dx[1], outputs);
+        }
+    }
+
+    #[test]
+    fn equals_the_direct_product_in_both_precisions() {
+        equals_the_direct_product::<f32>(2e-6);
+        equals_the_direct_product::<f64>(4e-15);
+    }
+
+    /// Transformed tiles hold four outputs: what one of them does not read must not reach it.
+    #[test]
+    fn zeros_and_nan_go_no_further_than_in_the_direct_product() {
+        let (l, weight) = layout(Shape::new(1, 2, 9, 12), 3, &Conv2d::new(1, 1));
+        let (pool, w) = (Pool::<f32>::new(), random::<f32>(2, weight, -1.0, 1.0));
+        for at in 0..l.input.plane() {
+            for background in [0.0, 1.0] {
+                let lone = Tensor::from_fn(l.input, |_, c, i, j| match (c == 1 && i * 12 + j == at, background == 0.0) {
+                    (true, true) => 0.7,
+                    (true, false) => f32::NAN,
+                    _ => background,
+                });
+                let (found, wanted) =
+                    (forward(&l, lone.data(), w.data(), None, &pool), direct::forward(&l, lone.data(), w.data(), None, &pool));
+                let same = |(a, b): (&f32, &f32)| (*a == 0.0) == (*b == 0.0) && a.is_nan() == b.is_nan();
+                assert!(found.iter().zip(&wanted).all(same), "lone input {at} on {background}");
+            }
+        }
+    }
+
+    #[test]
+    fn bits_do_not_depend_on_the_number_of_threads() {
+        for (shape, outputs, conv) in cases() {
+            let (l, weight) = layout(shape, outputs, &conv);
+            let (x, w) = (random::<f32>(1, shape, -1.0, 1.0), random::<f32>(2, weight, -1.0, 1.0));
+            let g = random::<f32>(4, l.output, -1.0, 1.0);
+            let run = |threads| {
+                par::with_threads(threads, || {
+                    let pool = Pool::new();
+                    let mut dx = vec![0.0; shape.len()];
+                    backward_input(&l, g.data(), w.data(), &mut dx, &pool);
+                    (forward(&l, x.data(), w.data(), None, &pool), dx)
+                })
+            };
+            let one = run(1);
+            assert!((2..5).all(|threads| run(threads) == one), "{shape}");
+        }
+    }
+}
