@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::direct::{BLOCK, Direct, Tap, blocks, padded_len};
-use super::forward::POSITIONS;
+use super::forward::tile_rows;
 use super::layout::Layout;
 use crate::{PadMode, Pool, Scalar, par};
 
@@ -20,7 +20,7 @@ pub fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], poo
         })
         .collect();
     let output_stride = l.taps;
-    par::for_each_item(units(l, dx, POSITIONS.div_ceil(pitch)), |_, mut unit| {
+    par::for_each_item(units(l, dx, tile_rows(pitch, l.cout)), |_, mut unit| {
         let Range { start, end } = unit.phase_rows.clone();
         let len = (end - start - 1) * pitch + l.phase_w;
         let row_pitch = padded_len(len);

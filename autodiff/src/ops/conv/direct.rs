@@ -7,8 +7,8 @@ use crate::simd::unroll;
 
 /// Output channels of a full block.
 pub const BLOCK: usize = 8;
-/// Input channels after which partial sums are put down, so that what is read again and again stays in the nearest cache.
-const CHANNELS: usize = 16;
+/// Products of one output after which partial sums are put down, so that what is read again and again stays in the nearest cache.
+const PRODUCTS: usize = 144;
 
 /// Output channels `start .. start + width` of one group, as wide as the register block allows.
 #[derive(Clone, Copy, Debug)]
@@ -81,8 +81,9 @@ impl<T: Scalar> WithSimd for Direct<'_, T> {
         let d = &mut self;
         // 32 registers with the widest ones, else 16.
         let many = T::lanes::<S>() * size_of::<T>() == 64;
-        for first in (0..d.channels).step_by(CHANNELS) {
-            let channels = [first, d.channels.min(first + CHANNELS)];
+        let some = (PRODUCTS / d.taps.len()).clamp(16, 32);
+        for first in (0..d.channels).step_by(some) {
+            let channels = [first, d.channels.min(first + some)];
             match (d.width, many) {
                 (8, true) => sweep::<T, S, 8, 3>(d, simd, 0, channels),
                 (4, true) => sweep::<T, S, 4, 5>(d, simd, 0, channels),

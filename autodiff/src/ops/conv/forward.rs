@@ -6,8 +6,15 @@ use super::direct::{BLOCK, Direct, Tap, blocks, padded_len};
 use super::layout::Layout;
 use crate::{Pool, Scalar, par};
 
-/// Output positions of a tile, about: what a unit reads stays in the second-level cache.
-pub const POSITIONS: usize = 2048;
+/// Output positions of a tile at most, about.
+const POSITIONS: usize = 2048;
+/// Elements that the output blocks of a tile read, about: they stay in the second-level cache from one block to the next.
+const READ: usize = 1 << 17;
+
+/// Rows of a tile whose every position reads so many elements, in rows of `pitch`.
+pub fn tile_rows(pitch: usize, elements: usize) -> usize {
+    POSITIONS.min(READ / elements).div_ceil(pitch)
+}
 
 /// `y = w * x + b`.
 pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
@@ -15,7 +22,7 @@ pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool
     let taps: Vec<Tap> = l.tap_offsets().into_iter().enumerate().map(|(weight, offset)| Tap { offset, weight }).collect();
     let per_output = l.cin * l.taps;
     let mut y = pool.take(l.output.len());
-    let tile_rows = POSITIONS.div_ceil(l.phase_w);
+    let tile_rows = tile_rows(l.phase_w, l.cin * l.phases.len());
     let wo = l.output.w();
     par::for_each_item(units(l, &mut y, tile_rows), |_, mut unit| {
         let rows = unit.out[0].len() / wo;
