@@ -108,6 +108,13 @@ impl Layout {
         self.tap_at.iter().map(|&(phase, y, x)| phase * self.phase_len() + y * self.phase_w + x).collect()
     }
 
+    /// Whether every three taps read side by side.
+    pub fn taps_in_threes(&self) -> bool {
+        let threes =
+            |taps: &[(usize, usize, usize)]| matches!(*taps, [(a, b, c), y, z] if y == (a, b, c + 1) && z == (a, b, c + 2));
+        self.tap_at.chunks(3).all(threes)
+    }
+
     /// Largest row and column offset of a tap.
     pub fn reach(&self) -> (usize, usize) {
         let rows = self.tap_at.iter().map(|t| t.1).max().unwrap_or(0);
@@ -206,20 +213,23 @@ impl Layout {
     pub fn pack_strips<T: Scalar>(&self, g: &[T], group: usize, pool: &Pool<T>) -> Vec<T> {
         /// Positions at which all channels of a strip meet in the nearest cache.
         const POSITIONS: usize = 128;
+        /// Positions of a task.
+        const SOME: usize = 16 * POSITIONS;
         let (plane, images) = (self.output.plane(), self.output.n());
         let strips = self.strips();
         let channels = strips.last().map_or(0, |(first, width)| first + width);
         let mut packed = pool.take(channels * images * plane);
         let mut rest = &mut packed[..];
-        let mut tasks = Vec::with_capacity(strips.len() * images);
+        let mut tasks = Vec::new();
         for &(first, width) in &strips {
             for n in 0..images {
                 let (head, tail) = rest.split_at_mut(width * plane);
-                tasks.push((n, first, width, head));
+                let some = head.chunks_mut(SOME * width).enumerate();
+                tasks.extend(some.map(|(i, out)| (n, first, width, i * SOME, out)));
                 rest = tail;
             }
         }
-        par::for_each_item(tasks, |_, (n, first, width, out)| {
+        par::for_each_item(tasks, |_, (n, first, width, from, out)| {
             let real = width.min(self.cout - first);
             if real < width {
                 out.fill(T::ZERO);
@@ -227,7 +237,7 @@ impl Layout {
             let g = &g[(n * self.output.c() + group * self.cout + first) * plane..][..real * plane];
             for (tile, out) in out.chunks_mut(POSITIONS * width).enumerate() {
                 for (o, g) in g.chunks_exact(plane).enumerate() {
-                    for (out, &g) in out.chunks_exact_mut(width).zip(&g[tile * POSITIONS..]) {
+                    for (out, &g) in out.chunks_exact_mut(width).zip(&g[from + tile * POSITIONS..]) {
                         out[o] = g;
                     }
                 }

@@ -13,7 +13,7 @@ const WORK: usize = 1 << 22;
 /// Units that are enough for every thread to have some.
 const UNITS: usize = 16;
 /// Output channels up to which strips of them are not worth their copy.
-const FEW_OUTPUTS: usize = 16;
+const FEW_OUTPUTS: usize = 8;
 
 /// Adds the gradient of the weights.
 pub fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], pool: &Arc<Pool<T>>) {
@@ -33,33 +33,47 @@ pub fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut [T], po
 fn weight_by_strips<T: Scalar>(l: &Layout, packed: &[T], g: &[T], group: usize, dw: &mut [T], pool: &Arc<Pool<T>>) {
     let g = l.pack_strips(g, group, pool);
     let offsets = l.tap_offsets();
-    let pairs: Vec<usize> = (0..l.cin).flat_map(|c| offsets.iter().map(move |t| c * l.channel_len() + t)).collect();
+    // With one register of outputs, every product loads its input: three taps side by side share one place to read from.
+    let together = if l.cout <= STRIP / 2 && l.taps_in_threes() { 3 } else { 1 };
+    let starts: Vec<usize> = offsets.into_iter().step_by(together).collect();
+    let starts: Vec<usize> = (0..l.cin).flat_map(|c| starts.iter().map(move |t| c * l.channel_len() + t)).collect();
+    let pairs = starts.len() * together;
     let lines = l.output.n() * l.output.h();
     let positions = lines * l.output.w();
-    let run = (WORK / (positions * STRIP)).next_multiple_of(10).clamp(50, 240).min(pairs.len());
-    let owned = runs(&mut dw[group * l.cout * pairs.len()..][..l.cout * pairs.len()], pairs.len(), run, &l.strips());
-    let parts = (UNITS / owned.len()).clamp(1, lines).min(positions.div_ceil(4096));
+    let run = (WORK / (positions * STRIP)).next_multiple_of(if together == 3 { 24 } else { 10 });
+    let run = run.clamp(if together == 3 { 48 } else { 50 }, 240).min(pairs);
+    let owned = runs(&mut dw[group * l.cout * pairs..][..l.cout * pairs], pairs, run, &l.strips());
+    let parts = (UNITS / owned.len()).clamp(1, lines).min(positions.div_ceil(2048));
     par::for_each_item(owned, |_, mut owned| {
         let width = owned.width;
-        let pairs = &pairs[owned.from..][..owned.rows[0].len()];
+        let count = owned.rows[0].len();
         let sums = par::map_indices(parts, |part| {
-            let mut sums = vec![0.0; pairs.len() * width];
+            let mut sums = vec![0.0; count * width];
             T::run_weight_outer(WeightOuter {
                 g: &g[owned.first * positions..],
                 width,
                 x: &packed[group * l.cin * l.channel_len()..],
                 x_image: l.input.c() * l.channel_len(),
                 x_row: l.phase_w,
-                pairs,
+                runs: &starts[owned.from / together..][..count / together],
+                taps: together,
                 size: [l.output.n(), l.output.h(), l.output.w()],
                 lines: lines * part / parts..lines * (part + 1) / parts,
                 sums: &mut sums,
             });
             sums
         });
-        for (o, row) in owned.rows.iter_mut().enumerate() {
-            for (k, d) in row.iter_mut().enumerate() {
-                *d += T::from_f64(sums.iter().map(|sums| sums[k * width + o]).sum());
+        let mut parts = sums.into_iter();
+        let mut sums = parts.next().expect("there is a part at least");
+        for part in parts {
+            sums.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
+        }
+        // Some weights of every output at a time, a cache line of each.
+        for (from, sums) in (0..count).step_by(16).zip(sums.chunks(16 * width)) {
+            for (o, row) in owned.rows.iter_mut().enumerate() {
+                for (d, sums) in row[from..].iter_mut().zip(sums.chunks_exact(width)) {
+                    *d += T::from_f64(sums[o]);
+                }
             }
         }
     });
