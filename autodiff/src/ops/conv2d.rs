@@ -5,8 +5,8 @@
 //! vjp: `dx` scatters the same products, `dw[o, c, u, v] = sum over n, i, j of g x`, `db[o] = sum g`. Linear in input, weight
 //! and bias. Keeps input and weight, each only when the other one needs its gradient.
 //!
-//! The kernels are direct: the input is copied once into padded planes, an output block of 8 channels x 3 registers is summed
-//! in registers. Work units are (image, output block), so bits do not depend on the number of threads.
+//! `conv/choice.rs` says which kernel for which shape. Units of work are cut by the shape alone, so bits do not depend on the number
+//! of threads.
 
 use super::conv::layout::Layout;
 use super::conv::{backward_input, backward_weight, forward};
