@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
+use crate::gradients::Place;
+use crate::segments::Segments;
 use crate::{Pool, Scalar, Shape, Tensor};
 
 /// Where an operation's backward pass puts its results: one slot for each parent.
 pub struct GradSink<'a, T: Scalar> {
     pub(crate) parents: &'a [usize],
-    pub(crate) needs: &'a [bool],
-    pub(crate) shapes: &'a [Shape],
-    pub(crate) grads: &'a mut Vec<Option<Tensor<T>>>,
+    pub(crate) places: &'a mut Segments<Place<T>>,
     pub(crate) pool: &'a Arc<Pool<T>>,
 }
 
@@ -22,23 +22,23 @@ impl<T: Scalar> GradSink<'_, T> {
 
     /// Whether the gradient of parent `k` is wanted.
     pub fn needs(&self, k: usize) -> bool {
-        self.needs[self.parents[k]]
+        self.places[self.parents[k]].needed
     }
 
     /// The slot of parent `k`, or `None` when its gradient is not wanted.
     pub fn slot(&mut self, k: usize) -> Option<GradSlot<'_, T>> {
-        let id = self.parents[k];
-        self.needs[id].then(|| GradSlot { shape: self.shapes[id], grad: &mut self.grads[id], pool: self.pool })
+        let place = &mut self.places[self.parents[k]];
+        place.needed.then_some(GradSlot { shape: place.shape, grad: &mut place.grad, pool: self.pool })
     }
 
     /// Takes the gradient so far of parent `k` out of its slot.
     pub(crate) fn take(&mut self, k: usize) -> Option<Tensor<T>> {
-        self.grads[self.parents[k]].take()
+        self.places[self.parents[k]].grad.take()
     }
 
     /// Puts the gradient so far of parent `k` into its slot.
     pub(crate) fn put(&mut self, k: usize, gradient: Option<Tensor<T>>) {
-        self.grads[self.parents[k]] = gradient;
+        self.places[self.parents[k]].grad = gradient;
     }
 
     /// The pool of the tape's buffers.

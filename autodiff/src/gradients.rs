@@ -1,24 +1,32 @@
 //! What a backward pass gives back.
 
+use crate::segments::Segments;
 use crate::{Scalar, Shape, Tensor, Var};
+
+/// The gradient of one node, and what becomes of it.
+pub(crate) struct Place<T: Scalar> {
+    pub(crate) shape: Shape,
+    /// Whether it is wanted at all.
+    pub(crate) needed: bool,
+    /// Whether it stays when it has served.
+    pub(crate) kept: bool,
+    pub(crate) grad: Option<Tensor<T>>,
+}
 
 /// Gradients of one scalar.
 pub struct Gradients<T: Scalar> {
-    pub(crate) grads: Vec<Option<Tensor<T>>>,
-    pub(crate) shapes: Vec<Shape>,
-    /// The nodes whose gradient served and was dropped.
-    pub(crate) dropped: Vec<bool>,
+    pub(crate) places: Segments<Place<T>>,
 }
 
 impl<T: Scalar> Gradients<T> {
     /// The gradient with respect to a leaf or retained variable; `None` when no path leads to it.
     pub fn get(&self, var: Var<'_, T>) -> Option<&Tensor<T>> {
-        self.grads.get(var.id).and_then(Option::as_ref)
+        self.places.get(var.id)?.grad.as_ref()
     }
 
     /// The same, taken out.
     pub(crate) fn take(&mut self, var: Var<'_, T>) -> Option<Tensor<T>> {
-        self.grads.get_mut(var.id).and_then(Option::take)
+        self.places.get_mut(var.id)?.grad.take()
     }
 
     /// The gradient with respect to a leaf or retained variable; zeros when no path leads to it.
@@ -27,10 +35,10 @@ impl<T: Scalar> Gradients<T> {
     /// When the variable is an operation's output without [`Var::retain_grad`], or was recorded after the backward pass.
     #[track_caller]
     pub fn wrt(&self, var: Var<'_, T>) -> Tensor<T> {
-        assert!(var.id < self.shapes.len(), "wrt: the variable was recorded after this backward pass");
-        let shape = self.shapes[var.id];
-        assert!(!self.dropped[var.id], "wrt: the gradient of {shape} was not kept; the rule: leaves, and what retain_grad marks");
-        self.get(var).cloned().unwrap_or_else(|| Tensor::zeros(shape))
+        let place = self.places.get(var.id);
+        let Place { shape, needed, kept, grad } = place.expect("wrt: the variable was recorded after this backward pass");
+        assert!(*kept || !needed, "wrt: the gradient of {shape} was not kept; the rule: leaves, and what retain_grad marks");
+        grad.clone().unwrap_or_else(|| var.tape().tensor(*shape, var.tape().buffer(shape.len())))
     }
 }
 

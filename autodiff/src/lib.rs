@@ -67,6 +67,7 @@ mod pool;
 pub mod proof;
 pub mod rng;
 mod scalar;
+mod segments;
 mod shape;
 pub mod simd;
 mod tape;

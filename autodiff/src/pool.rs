@@ -1,33 +1,84 @@
 //! Buffers kept for the next step, so that a training step in steady state allocates next to nothing.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use crate::Scalar;
 
 /// Buffers below this many elements are not worth keeping.
 const SMALLEST_KEPT: usize = 256;
+/// A buffer of at least one part in this many of a request is replaced by the one that is made for it.
+const REPLACED_SHARE: usize = 4;
 
-/// A store of buffers by length. Tensors of a [`Tape`](crate::Tape) return their buffer here when the last handle is gone.
+/// A store of buffers. Tensors of a [`Tape`](crate::Tape) return their buffer here when the last handle is gone.
+///
+/// A request is served by the smallest buffer that is long enough. When none is, a new one is made and the longest of those at
+/// rest is given back to the system: buffers grow rather than become more, so that no memory is stranded in rare lengths. After
+/// few steps of one kind every request finds its buffer.
 #[derive(Debug, Default)]
 pub struct Pool<T> {
-    shelves: Mutex<BTreeMap<usize, Vec<Vec<T>>>>,
+    store: Mutex<Store<T>>,
+}
+
+#[derive(Debug, Default)]
+struct Store<T> {
+    /// Buffers at rest by capacity; a shelf stays when it is empty.
+    shelves: BTreeMap<usize, Vec<Vec<T>>>,
+    /// Elements of the buffers at rest.
+    resting: usize,
+    /// Elements of the buffers that were taken and not given back.
+    lent: usize,
+    /// Largest sum of both so far.
+    peak: usize,
+}
+
+impl<T> Store<T> {
+    /// The smallest buffer at rest that is long enough.
+    fn fitting(&mut self, len: usize) -> Option<Vec<T>> {
+        let buffer = self.shelves.range_mut(len..).find_map(|(_, shelf)| shelf.pop())?;
+        self.resting -= buffer.capacity();
+        Some(buffer)
+    }
+
+    /// The longest buffer at rest, which a new one of `len` elements replaces; none when it is much shorter.
+    fn replaced(&mut self, len: usize) -> Option<Vec<T>> {
+        let buffer = self.shelves.range_mut(len / REPLACED_SHARE..len).rev().find_map(|(_, shelf)| shelf.pop())?;
+        self.resting -= buffer.capacity();
+        Some(buffer)
+    }
+
+    fn lend(&mut self, elements: usize) {
+        self.lent += elements;
+        self.peak = self.peak.max(self.resting + self.lent);
+    }
 }
 
 impl<T: Scalar> Pool<T> {
     /// An empty pool.
     pub fn new() -> Arc<Self> {
-        Arc::new(Pool { shelves: Mutex::new(BTreeMap::new()) })
+        Arc::new(Pool::default())
+    }
+
+    fn store(&self) -> MutexGuard<'_, Store<T>> {
+        self.store.lock().expect("the pool's lock is never held across a panic")
     }
 
     /// A buffer of `len` elements with arbitrary (initialised) contents.
     pub fn take(&self, len: usize) -> Vec<T> {
-        if len >= SMALLEST_KEPT {
-            let mut shelves = self.shelves.lock().expect("the pool's lock is never held across a panic");
-            if let Some(buffer) = shelves.get_mut(&len).and_then(Vec::pop) {
-                return buffer;
-            }
+        if len < SMALLEST_KEPT {
+            return vec![T::ZERO; len];
         }
+        let mut store = self.store();
+        if let Some(mut buffer) = store.fitting(len) {
+            store.lend(buffer.capacity());
+            drop(store);
+            buffer.resize(len, T::ZERO);
+            return buffer;
+        }
+        let replaced = store.replaced(len);
+        store.lend(len);
+        drop(store);
+        drop(replaced);
         vec![T::ZERO; len]
     }
 
@@ -40,21 +91,33 @@ impl<T: Scalar> Pool<T> {
 
     /// Keeps a buffer for later.
     pub fn give(&self, buffer: Vec<T>) {
-        if buffer.len() >= SMALLEST_KEPT {
-            let mut shelves = self.shelves.lock().expect("the pool's lock is never held across a panic");
-            shelves.entry(buffer.len()).or_default().push(buffer);
+        let elements = buffer.capacity();
+        if elements < SMALLEST_KEPT {
+            return;
         }
+        let mut store = self.store();
+        // A buffer from elsewhere was never lent.
+        store.lent = store.lent.saturating_sub(elements);
+        store.resting += elements;
+        store.peak = store.peak.max(store.resting + store.lent);
+        store.shelves.entry(elements).or_default().push(buffer);
     }
 
     /// Elements of all buffers at rest.
     pub fn elements(&self) -> usize {
-        let shelves = self.shelves.lock().expect("the pool's lock is never held across a panic");
-        shelves.iter().map(|(len, buffers)| len * buffers.len()).sum()
+        self.store().resting
+    }
+
+    /// Bytes of all buffers, at rest and taken, when they were most.
+    pub fn peak_bytes(&self) -> usize {
+        self.store().peak * size_of::<T>()
     }
 
     /// Returns every buffer at rest to the system.
     pub fn clear(&self) {
-        self.shelves.lock().expect("the pool's lock is never held across a panic").clear();
+        let mut store = self.store();
+        store.shelves.clear();
+        store.resting = 0;
     }
 }
 
@@ -74,5 +137,68 @@ mod tests {
         assert_eq!(again.as_ptr(), address);
         assert_eq!(again[3], 0.0);
         assert_eq!(pool.elements(), 0);
+    }
+
+    #[test]
+    fn a_request_gets_the_smallest_buffer_that_is_long_enough() {
+        let pool = Pool::<f32>::new();
+        let given = [1000, 1100, 1600].map(|len| pool.take(len));
+        let addresses = given.each_ref().map(|buffer| buffer.as_ptr());
+        given.into_iter().for_each(|buffer| pool.give(buffer));
+        let taken = [1050, 900, 300].map(|len| pool.take(len));
+        assert_eq!(taken.each_ref().map(Vec::len), [1050, 900, 300]);
+        assert_eq!(taken.each_ref().map(|buffer| buffer.as_ptr()), [1, 0, 2].map(|k| addresses[k]));
+        // Back on its shelf by what it can hold, and of any such length again.
+        taken.into_iter().for_each(|buffer| pool.give(buffer));
+        let longest = pool.take(1600);
+        assert_eq!((longest.as_ptr(), longest.len()), (addresses[2], 1600));
+    }
+
+    #[test]
+    fn a_buffer_that_is_too_short_gives_way_to_a_longer_one() {
+        let pool = Pool::<f32>::new();
+        [300, 1000, 1100].map(|len| pool.take(len)).into_iter().for_each(|buffer| pool.give(buffer));
+        let longer = pool.take(4000);
+        assert_eq!(pool.elements(), 1300, "1100 elements gave way");
+        assert_eq!(pool.peak_bytes(), 4 * 5300);
+        pool.give(longer);
+        drop(pool.take(20_000));
+        assert_eq!(pool.elements(), 5300, "4000 are much shorter");
+    }
+
+    #[test]
+    fn requests_of_one_kind_find_their_buffers_after_the_first_round() {
+        let pool = Pool::<f32>::new();
+        let round = || {
+            let before = pool.peak_bytes();
+            let held: Vec<_> = (1..40).map(|k| pool.take(300 * (k * 17 % 40))).collect();
+            held.into_iter().for_each(|buffer| pool.give(buffer));
+            for k in 1..40 {
+                let (a, b) = (pool.take(500 * (k * 7 % 40)), pool.take(700 * (k * 11 % 13)));
+                pool.give(a);
+                pool.give(b);
+            }
+            pool.peak_bytes() > before
+        };
+        assert!(round());
+        round();
+        assert!((0..5).all(|_| !round()), "the pool still grows");
+    }
+
+    #[test]
+    fn the_peak_counts_what_is_taken_and_what_rests() {
+        let pool = Pool::<f32>::new();
+        let (a, b) = (pool.take(1000), pool.take(3000));
+        assert_eq!(pool.peak_bytes(), 4 * 4000);
+        pool.give(a);
+        pool.give(b);
+        let (a, b) = (pool.take(900), pool.take(2000));
+        pool.give(a);
+        pool.give(b);
+        assert_eq!((pool.elements(), pool.peak_bytes()), (4000, 4 * 4000), "the same two buffers");
+        pool.give(vec![0.0; 5000]);
+        assert_eq!((pool.elements(), pool.peak_bytes()), (9000, 4 * 9000), "one from elsewhere");
+        pool.clear();
+        assert_eq!((pool.elements(), pool.peak_bytes()), (0, 4 * 9000));
     }
 }

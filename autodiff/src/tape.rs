@@ -5,8 +5,9 @@ use std::fmt;
 use std::sync::Arc;
 
 use crate::grad_sink::{GradSink, GradSlot};
-use crate::gradients::Gradients;
+use crate::gradients::{Gradients, Place};
 use crate::proof::Planted;
+use crate::segments::Segments;
 use crate::{Pool, Scalar, Shape, Tensor};
 
 /// What an operation does in the backward pass: given the gradient of its output, add to the gradients of its parents.
@@ -27,7 +28,7 @@ struct Node<T: Scalar> {
 /// Nodes are appended in the order of computation, so the backward pass is a loop from the end: no recursion, any depth.
 /// A tape lives for one step; buffers outlive it in its [`Pool`].
 pub struct Tape<T: Scalar> {
-    nodes: RefCell<Vec<Node<T>>>,
+    nodes: RefCell<Segments<Node<T>>>,
     pool: Arc<Pool<T>>,
     /// Whether a value or gradient that is not finite is refused.
     finite_only: bool,
@@ -70,7 +71,7 @@ impl<T: Scalar> Tape<T> {
 
     /// An empty tape that takes its buffers from `pool`.
     pub fn with_pool(pool: Arc<Pool<T>>) -> Self {
-        Tape { nodes: RefCell::new(Vec::new()), pool, finite_only: false, planted: RefCell::new(None) }
+        Tape { nodes: RefCell::new(Segments::new()), pool, finite_only: false, planted: RefCell::new(None) }
     }
 
     /// The same tape, but it panics as soon as an input, an operation's output or a gradient is NaN or infinite, and names the
@@ -217,9 +218,9 @@ impl<T: Scalar> Tape<T> {
         assert!(std::ptr::eq(output.tape, self), "backward: the output belongs to another tape");
         let shape = output.shape();
         assert!(seed.shape() == shape, "backward: output {shape} needs a seed of its shape, got {}", seed.shape());
-        let mut grads = vec![None; output.id + 1];
-        grads[output.id] = Some(seed.clone());
-        self.sweep(output.id, grads, false)
+        let mut places = self.places();
+        places[output.id].grad = Some(seed.clone());
+        self.sweep(output.id, places, false)
     }
 
     /// Spoils one backward rule in the sweeps to come.
@@ -238,12 +239,12 @@ impl<T: Scalar> Tape<T> {
 
     /// Gradients of `<seed, output>` added to those that some leaves already have; values are freed on the way.
     pub(crate) fn pull_back(&self, output: Var<'_, T>, seed: &Tensor<T>, so_far: Vec<(Var<'_, T>, Tensor<T>)>) -> Gradients<T> {
-        let mut grads: Vec<Option<Tensor<T>>> = vec![None; self.len()];
+        let mut places = self.places();
         for (leaf, gradient) in so_far {
-            grads[leaf.id] = Some(gradient);
+            places[leaf.id].grad = Some(gradient);
         }
-        GradSlot { shape: output.shape(), grad: &mut grads[output.id], pool: &self.pool }.add_tensor(seed);
-        self.sweep(output.id, grads, true)
+        GradSlot { shape: output.shape(), grad: &mut places[output.id].grad, pool: &self.pool }.add_tensor(seed);
+        self.sweep(output.id, places, true)
     }
 
     /// Gradients of a scalar.
@@ -252,40 +253,40 @@ impl<T: Scalar> Tape<T> {
         assert!(std::ptr::eq(loss.tape, self), "backward: the loss belongs to another tape");
         let shape = loss.shape();
         assert!(shape.len() == 1, "backward: the loss must be one number, got shape {shape}");
-        let mut grads = vec![None; loss.id + 1];
-        grads[loss.id] = Some(Tensor::full(shape, T::ONE));
-        self.sweep(loss.id, grads, free)
+        let mut places = self.places();
+        places[loss.id].grad = Some(Tensor::full(shape, T::ONE));
+        self.sweep(loss.id, places, free)
+    }
+
+    /// Places for the gradients of all nodes.
+    fn places(&self) -> Segments<Place<T>> {
+        let place = |n: &Node<T>| Place { shape: n.shape, needed: n.requires_grad, kept: n.keeps_grad, grad: None };
+        self.nodes.borrow().iter().map(place).collect()
     }
 
     /// Walks from node `last` to the first and lets each hand its gradient on to its parents.
-    fn sweep(&self, last: usize, mut grads: Vec<Option<Tensor<T>>>, free: bool) -> Gradients<T> {
+    fn sweep(&self, last: usize, mut places: Segments<Place<T>>, free: bool) -> Gradients<T> {
         let mut nodes = self.nodes.borrow_mut();
-        let needs: Vec<bool> = nodes.iter().map(|n| n.requires_grad).collect();
-        let shapes: Vec<Shape> = nodes.iter().map(|n| n.shape).collect();
-        let dropped = nodes.iter().map(|n| n.requires_grad && !n.keeps_grad).collect();
         let planted = self.planted.borrow();
         for id in (0..=last).rev() {
             let node = &mut nodes[id];
-            let freed = grads[id].is_some() && node.requires_grad && !node.parents.is_empty() && node.backward.is_none();
+            let grad = if node.keeps_grad { places[id].grad.clone() } else { places[id].grad.take() };
+            let freed = grad.is_some() && node.requires_grad && !node.parents.is_empty() && node.backward.is_none();
             assert!(!freed, "backward: {} {} was freed by an earlier backward_and_free", node.op, node.shape);
-            if let (Some(backward), Some(grad)) = (&node.backward, &grads[id]) {
-                let grad = grad.clone();
-                if !node.keeps_grad {
-                    grads[id] = None;
-                }
+            if let (Some(backward), Some(grad)) = (&node.backward, grad) {
                 let planted = planted.as_ref().filter(|planted| planted.node == id);
-                let others = planted.and_then(|planted| grads[node.parents[planted.parent]].take());
-                let mut sink =
-                    GradSink { parents: &node.parents, needs: &needs, shapes: &shapes, grads: &mut grads, pool: &self.pool };
+                let others = planted.and_then(|planted| places[node.parents[planted.parent]].grad.take());
+                let mut sink = GradSink { parents: &node.parents, places: &mut places, pool: &self.pool };
                 backward(&grad, &mut sink);
                 if let Some(planted) = planted {
                     let parent = node.parents[planted.parent];
-                    let mut slot = GradSlot { shape: shapes[parent], grad: &mut grads[parent], pool: &self.pool };
+                    let place = &mut places[parent];
+                    let mut slot = GradSlot { shape: place.shape, grad: &mut place.grad, pool: &self.pool };
                     (planted.spoil)(slot.shape, slot.as_mut_slice());
                     others.iter().for_each(|others| slot.add_tensor(others));
                 }
                 if self.finite_only {
-                    for gradient in node.parents.iter().filter_map(|&parent| grads[parent].as_ref()) {
+                    for gradient in node.parents.iter().filter_map(|&parent| places[parent].grad.as_ref()) {
                         assert_finite(gradient, node.op, "gradient that it passes on");
                     }
                 }
@@ -295,7 +296,7 @@ impl<T: Scalar> Tape<T> {
                 node.value = None;
             }
         }
-        Gradients { grads, shapes, dropped }
+        Gradients { places }
     }
 }
 
@@ -317,12 +318,13 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// The value.
     ///
     /// # Panics
-    /// When the value was freed by [`Tape::backward_and_free`].
+    /// When the value was freed by [`Tape::backward_and_free`] or [`Var::release`].
     #[track_caller]
     pub fn value(self) -> Tensor<T> {
         let nodes = self.tape.nodes.borrow();
         let node = &nodes[self.id];
-        node.value.clone().unwrap_or_else(|| panic!("value of {} {} was freed by backward_and_free", node.op, node.shape))
+        let freed = || panic!("value of {} {} was freed by backward_and_free or release", node.op, node.shape);
+        node.value.clone().unwrap_or_else(freed)
     }
 
     /// Whether both are the same node of the same tape.
@@ -343,6 +345,31 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// The same value cut off from its history: no gradient passes.
     pub fn detach(self) -> Var<'t, T> {
         self.tape.constant(self.value())
+    }
+
+    /// Gives up the value, which nothing will ask for again: only what backward rules keep of it stays in memory.
+    ///
+    /// The variable still passes its gradient. To be called by whoever made the variable.
+    pub fn release(self) {
+        self.tape.nodes.borrow_mut()[self.id].value = None;
+    }
+
+    /// `last(self)`, after which the value is [released](Var::release).
+    ///
+    /// ```
+    /// use dimode_autodiff::{Tape, Tensor};
+    ///
+    /// let tape = Tape::<f64>::new();
+    /// let x = tape.leaf(Tensor::scalar(3.0));
+    /// // The sum is gone as soon as the rectifier has read it.
+    /// let y = x.add(x).last_use(|sum| sum.relu());
+    /// assert_eq!(tape.backward(y).wrt(x).item(), 2.0);
+    /// ```
+    #[must_use]
+    pub fn last_use(self, last: impl FnOnce(Self) -> Self) -> Self {
+        let result = last(self);
+        self.release();
+        result
     }
 
     /// Asks the backward pass to keep the gradient of this intermediate variable.
@@ -469,6 +496,28 @@ mod tests {
         tape.backward_and_free(y.sum());
         let seen = seen.borrow();
         assert!(seen.len() == 10 && seen[9] >= seen[0] + 8 * 1024, "elements back in the pool: {seen:?}");
+    }
+
+    #[test]
+    fn a_released_value_is_back_in_the_pool_unless_a_rule_keeps_it() {
+        let tape = Tape::<f64>::new();
+        let x = tape.leaf(Tensor::full(Shape::new(1, 1, 32, 32), 0.5));
+        let sum = x.add(x);
+        let y = sum.last_use(|sum| sum.relu());
+        assert_eq!(tape.pool().elements(), 1024, "the rectifier keeps its output only");
+        let z = y.last_use(|y| y.square());
+        assert_eq!(tape.pool().elements(), 0, "the square keeps its input, and has the sum's buffer");
+        assert_eq!(tape.backward_and_free(z.sum()).wrt(x).data()[0], 4.0);
+    }
+
+    #[test]
+    #[should_panic(expected = "value of add [1, 1, 1, 1] was freed by backward_and_free or release")]
+    fn a_released_value_says_so() {
+        let tape = Tape::<f64>::new();
+        let x = tape.leaf(Tensor::scalar(3.0));
+        let sum = x.add(x);
+        sum.release();
+        sum.value();
     }
 
     #[test]

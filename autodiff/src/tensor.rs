@@ -39,8 +39,11 @@ impl<T: Scalar> Tensor<T> {
     }
 
     /// A tensor whose buffer returns to `pool` in the end.
+    ///
+    /// # Panics
+    /// As [`Tensor::from_vec`].
     #[track_caller]
-    pub(crate) fn pooled(shape: Shape, data: Vec<T>, pool: &Arc<Pool<T>>) -> Self {
+    pub fn pooled(shape: Shape, data: Vec<T>, pool: &Arc<Pool<T>>) -> Self {
         Self::build(shape, data, Some(pool.clone()))
     }
 
@@ -136,8 +139,8 @@ impl<T: Scalar> Tensor<T> {
         self.data().iter().all(|x| x.is_finite())
     }
 
-    /// Writable elements; copies the buffer first when it is shared.
-    pub(crate) fn make_mut(&mut self) -> &mut [T] {
+    /// Writable elements. Other handles keep what they have: a buffer that is shared is copied first.
+    pub fn make_mut(&mut self) -> &mut [T] {
         if Arc::get_mut(&mut self.buffer).is_none() {
             let (data, pool) = match &self.buffer.pool {
                 Some(pool) => {

@@ -1,20 +1,38 @@
 //! What one training step, and the loss core, take from the heap in steady state.
 //!
 //! Prints one JSON array; `compare allocations` makes a table of it. A program of its own, because the allocator that counts is
-//! slower. It knows numbers and bytes, not the size of each allocation: bytes / 64 KiB is an upper bound of how many can have
-//! been of 64 KiB or more, and 0 proves that there was none.
+//! slower.
 
 use std::alloc::System;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use dimode_autodiff::par;
 use dimode_benches::ours::loss_core::LossCase;
 use dimode_benches::ours::step::StepCase;
 use dimode_benches::{Case, Inputs};
 use serde_json::{Value, json};
-use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
+use tracking_allocator::{AllocationGroupId, AllocationRegistry, AllocationTracker, Allocator};
 
 #[global_allocator]
-static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
+static ALLOCATOR: Allocator<System> = Allocator::system();
+
+/// Bytes from which on an allocation is large.
+const LARGE: usize = 64 << 10;
+
+/// Bytes, allocations, large allocations.
+static COUNTERS: [AtomicU64; 3] = [const { AtomicU64::new(0) }; 3];
+
+struct Count;
+
+impl AllocationTracker for Count {
+    fn allocated(&self, _: usize, bytes: usize, _: usize, _: AllocationGroupId) {
+        for (counter, more) in COUNTERS.iter().zip([bytes as u64, 1, u64::from(bytes >= LARGE)]) {
+            counter.fetch_add(more, Relaxed);
+        }
+    }
+
+    fn deallocated(&self, _: usize, _: usize, _: usize, _: AllocationGroupId, _: AllocationGroupId) {}
+}
 
 /// Repetitions before those that are counted.
 const WARM: usize = 3;
@@ -22,6 +40,8 @@ const WARM: usize = 3;
 const COUNTED: usize = 3;
 
 fn main() {
+    AllocationRegistry::set_global_tracker(Count).expect("the only tracker");
+    AllocationRegistry::enable_tracking();
     let threads = std::env::args().nth(1).and_then(|text| text.parse().ok()).unwrap_or(2);
     let cases: [(Box<dyn Case>, &str); 4] = [
         (Box::new(StepCase::monodepth2(1)), "step"),
@@ -41,12 +61,12 @@ fn count(case: &dyn Case, what: &str, threads: usize) -> Value {
             ours.repetition(what);
         }
         let counted = (0..COUNTED).map(|_| {
-            let region = Region::new(ALLOCATOR);
+            COUNTERS.iter().for_each(|counter| counter.store(0, Relaxed));
             ours.repetition(what);
-            let change = region.change();
-            (change.bytes_allocated, change.allocations + change.reallocations)
+            COUNTERS.each_ref().map(|counter| counter.load(Relaxed))
         });
         counted.min().expect("at least one repetition")
     });
-    json!({"case": case.name(), "what": what, "bytes": taken.0, "allocations": taken.1})
+    let [bytes, allocations, large] = taken;
+    json!({"case": case.name(), "what": what, "bytes": bytes, "allocations": allocations, "large": large})
 }
