@@ -52,14 +52,14 @@ impl DepthDecoder {
         let mut x = features[4];
         for level in (0..5).rev() {
             let [before, after] = &self.units[level];
-            x = before.forward(binder, x).upsample_nearest(2);
+            x = before.forward(binder, x).last_use(|x| x.upsample_nearest(2));
             if level > 0 {
-                x = Var::concat(&[x, features[level - 1]], 1);
+                x = x.last_use(|x| Var::concat(&[x, features[level - 1]], 1));
             }
-            x = after.forward(binder, x);
+            x = x.last_use(|x| after.forward(binder, x));
             let head = self.heads.iter().find(|(scale, _)| *scale == level);
             if let Some((_, head)) = head {
-                disparities.push(head.linear(binder, x).sigmoid());
+                disparities.push(head.linear(binder, x).last_use(Var::sigmoid));
             }
         }
         disparities.reverse();

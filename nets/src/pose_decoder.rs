@@ -34,8 +34,8 @@ impl PoseDecoder {
     pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, feature: Var<'t, T>) -> Var<'t, T> {
         let [squeeze, first, second, last] = &self.convs;
         let x = squeeze.activated(binder, feature, Activation::Relu);
-        let x = first.activated(binder, x, Activation::Relu);
-        let x = second.activated(binder, x, Activation::Relu);
-        last.forward(binder, x).mean_hw().scale(OUTPUT_SCALE)
+        let x = x.last_use(|x| first.activated(binder, x, Activation::Relu));
+        let x = x.last_use(|x| second.activated(binder, x, Activation::Relu));
+        x.last_use(|x| last.forward(binder, x)).last_use(Var::mean_hw).scale(OUTPUT_SCALE)
     }
 }

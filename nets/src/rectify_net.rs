@@ -66,9 +66,9 @@ impl RectifyNet {
         let features = self.encoder.forward(binder, stack.resize_bilinear(height / 2, width / 2, true));
         let [squeeze, first, second, last] = &self.decoder;
         let x = squeeze.activated(binder, features[4], Activation::Relu);
-        let x = first.activated(binder, x, Activation::Relu);
-        let x = second.activated(binder, x, Activation::Relu);
-        last.forward(binder, x).mean_hw()
+        let x = x.last_use(|x| first.activated(binder, x, Activation::Relu));
+        let x = x.last_use(|x| second.activated(binder, x, Activation::Relu));
+        x.last_use(|x| last.forward(binder, x)).last_use(Var::mean_hw)
     }
 
     /// The angles without gradients, (N, 3, 1, 1).

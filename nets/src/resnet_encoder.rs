@@ -105,9 +105,9 @@ impl ResNetEncoder {
     pub fn forward<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, images: Var<'t, T>) -> [Var<'t, T>; 5] {
         let channels = 3 * self.config.images;
         assert_eq!(images.shape().c(), channels, "resnet encoder: input {:?} needs {channels} channels", images.shape());
-        let x = images.add_scalar(-INPUT_MEAN).scale(1.0 / INPUT_DEVIATION);
-        let x = self.conv1.forward(binder, x);
-        let first = self.norm1.activated(binder, x, None, Activation::Relu);
+        let x = images.add_scalar(-INPUT_MEAN).last_use(|x| x.scale(1.0 / INPUT_DEVIATION));
+        let x = x.last_use(|x| self.conv1.forward(binder, x));
+        let first = x.last_use(|x| self.norm1.activated(binder, x, None, Activation::Relu));
         let mut features = [first; 5];
         let mut x = first.max_pool2d(3, 2, 1);
         for (feature, blocks) in features[1..].iter_mut().zip(&self.layers) {

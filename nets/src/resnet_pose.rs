@@ -50,7 +50,10 @@ impl ResNetPose {
     /// When an image has not three channels or the two differ in size.
     #[track_caller]
     pub fn features<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, first: Var<'t, T>, second: Var<'t, T>) -> [Var<'t, T>; 5] {
-        self.encoder.forward(binder, Var::concat(&[first, second], 1))
+        let pair = Var::concat(&[first, second], 1);
+        let features = self.encoder.forward(binder, pair);
+        pair.release();
+        features
     }
 
     /// Coarsest feature -> (N, 6 frames, 1, 1), scaled by 0.01.

@@ -43,7 +43,11 @@ impl Model {
             let depth = tape.constant(pairs.depth.expect("a second look needs depth").clone());
             let seen = warped(source, depth, pose.detach(), pairs.cameras);
             pose = pose.compose(self.look(binder, target, seen, pairs.earlier));
+            seen.release();
+            depth.release();
         }
+        target.release();
+        source.release();
         pose
     }
 
@@ -69,9 +73,19 @@ impl Model {
         let split = |before: Var<'t, f32>, after: Var<'t, f32>| match earlier {
             0 => after,
             _ if earlier == n => before,
-            _ => Var::concat(&[before.slice(0, 0, earlier), after.slice(0, earlier, n - earlier)], 0),
+            _ => {
+                let parts = [before.slice(0, 0, earlier), after.slice(0, earlier, n - earlier)];
+                let joined = Var::concat(&parts, 0);
+                parts.into_iter().for_each(Var::release);
+                joined
+            }
         };
-        let [rotation, translation] = self.motion(binder, split(source, target), split(target, source));
+        let (first, second) = (split(source, target), split(target, source));
+        let [rotation, translation] = self.motion(binder, first, second);
+        if (1..n).contains(&earlier) {
+            first.release();
+            second.release();
+        }
         let said = |invert| taped::source_from_target(rotation, translation, invert, RotationForm::Exponential);
         let (back, forth) = (said(true), said(false));
         Pose { rotation: split(back.rotation, forth.rotation), translation: split(back.translation, forth.translation) }

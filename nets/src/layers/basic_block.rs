@@ -52,14 +52,15 @@ impl BasicBlock {
     pub fn forward<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
         let skip = match &self.skip {
             None => x,
-            Some((conv, norm)) => {
-                let skip = conv.forward(binder, x);
-                norm.forward(binder, skip)
-            }
+            Some((conv, norm)) => conv.forward(binder, x).last_use(|skip| norm.forward(binder, skip)),
         };
         let y = self.conv1.forward(binder, x);
-        let y = self.norm1.activated(binder, y, None, Activation::Relu);
-        let y = self.conv2.forward(binder, y);
-        self.norm2.activated(binder, y, Some(skip), Activation::Relu)
+        let y = y.last_use(|y| self.norm1.activated(binder, y, None, Activation::Relu));
+        let y = y.last_use(|y| self.conv2.forward(binder, y));
+        let y = y.last_use(|y| self.norm2.activated(binder, y, Some(skip), Activation::Relu));
+        if self.skip.is_some() {
+            skip.release();
+        }
+        y
     }
 }

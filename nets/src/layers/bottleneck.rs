@@ -18,11 +18,11 @@ pub enum Norm {
 }
 
 impl Norm {
-    /// (N, C, H, W) -> the same.
+    /// (N, C, H, W) -> the same; gives up the value of `x`.
     pub fn forward<'t, T: Scalar>(self, x: Var<'t, T>) -> Var<'t, T> {
         match self {
             Self::None => x,
-            Self::Instance => x.instance_norm(EPSILON),
+            Self::Instance => x.last_use(|x| x.instance_norm(EPSILON)),
         }
     }
 }
@@ -64,14 +64,13 @@ impl Bottleneck {
 
     /// (N, in, H, W) -> (N, out, H / stride, W / stride).
     pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
-        let mut y = x;
-        for conv in &self.convs {
-            y = self.norm.forward(conv.forward(binder, y)).relu();
-        }
-        let skip = match &self.skip {
-            None => x,
-            Some(conv) => self.norm.forward(conv.forward(binder, x)),
+        let layer = |conv: &ConvLayer, x| self.norm.forward(conv.forward(binder, x)).last_use(Var::relu);
+        let [first, second, third] = &self.convs;
+        let y = layer(first, x).last_use(|y| layer(second, y)).last_use(|y| layer(third, y));
+        let sum = match &self.skip {
+            None => y.last_use(|y| x.add(y)),
+            Some(conv) => y.last_use(|y| self.norm.forward(conv.forward(binder, x)).last_use(|skip| skip.add(y))),
         };
-        skip.add(y).relu()
+        sum.last_use(Var::relu)
     }
 }

@@ -45,10 +45,10 @@ impl Encoder {
     /// Images in [-1, 1], (N, 3, H, W) -> (N, outputs, H / factor, W / factor).
     pub(super) fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, images: Var<'t, T>) -> Var<'t, T> {
         let x = self.conv1.forward(binder, images);
-        let mut x = self.norm.forward(x).relu();
+        let mut x = self.norm.forward(x).last_use(Var::relu);
         for block in &self.blocks {
-            x = block.forward(binder, x);
+            x = x.last_use(|x| block.forward(binder, x));
         }
-        self.conv2.forward(binder, x)
+        x.last_use(|x| self.conv2.forward(binder, x))
     }
 }

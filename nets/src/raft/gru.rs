@@ -78,13 +78,19 @@ impl<'t, T: Scalar> GruState<'t, T> {
     pub(super) fn step(&self, hidden: Var<'t, T>, motion: Var<'t, T>) -> Var<'t, T> {
         let n = self.hidden;
         let input = motion.conv2d(self.from_motion, None, self.options);
-        let input = input.add(self.from_context);
+        let input = input.last_use(|input| input.add(self.from_context));
         let gates = hidden.conv2d(self.from_hidden, None, self.options);
-        let gates = input.slice(1, 0, 2 * n).add(gates).sigmoid();
+        let gates = gates.last_use(|gates| input.slice(1, 0, 2 * n).last_use(|input| input.add(gates)));
+        let gates = gates.last_use(Var::sigmoid);
         let (update, reset) = (gates.slice(1, 0, n), gates.slice(1, n, n));
-        let candidate = reset.mul(hidden).conv2d(self.from_reset, None, self.options);
-        let candidate = input.slice(1, 2 * n, n).add(candidate).tanh();
-        hidden.add(update.mul(candidate.sub(hidden)))
+        gates.release();
+        let reset = reset.last_use(|reset| reset.mul(hidden));
+        let candidate = reset.last_use(|reset| reset.conv2d(self.from_reset, None, self.options));
+        let input = input.last_use(|input| input.slice(1, 2 * n, n));
+        let candidate = candidate.last_use(|candidate| input.last_use(|input| input.add(candidate))).last_use(Var::tanh);
+        let change = candidate.last_use(|candidate| candidate.sub(hidden));
+        let change = change.last_use(|change| update.last_use(|update| update.mul(change)));
+        change.last_use(|change| hidden.add(change))
     }
 }
 

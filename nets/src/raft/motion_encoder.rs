@@ -34,12 +34,11 @@ impl MotionEncoder {
     /// Look-up (N, L, h, w) and flow (N, 2, h, w) -> (N, motion + 2, h, w), the flow itself last.
     pub(super) fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, lookup: Var<'t, T>, flow: Var<'t, T>) -> Var<'t, T> {
         let correlation = self.correlation.activated(binder, lookup, Activation::Relu);
-        let mut branch = flow;
-        for conv in &self.flow {
-            branch = conv.activated(binder, branch, Activation::Relu);
-        }
-        let joint = Var::concat(&[correlation, branch], 1);
-        let motion = self.joint.activated(binder, joint, Activation::Relu);
-        Var::concat(&[motion, flow], 1)
+        let [wide, narrow] = &self.flow;
+        let branch = wide.activated(binder, flow, Activation::Relu);
+        let branch = branch.last_use(|branch| narrow.activated(binder, branch, Activation::Relu));
+        let joint = correlation.last_use(|correlation| branch.last_use(|branch| Var::concat(&[correlation, branch], 1)));
+        let motion = joint.last_use(|joint| self.joint.activated(binder, joint, Activation::Relu));
+        motion.last_use(|motion| Var::concat(&[motion, flow], 1))
     }
 }

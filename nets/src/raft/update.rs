@@ -49,9 +49,9 @@ impl UpdateBlock {
         flow: Var<'t, T>,
     ) -> (Var<'t, T>, Var<'t, T>) {
         let motion = self.encoder.forward(binder, lookup, flow);
-        let hidden = gru.step(hidden, motion);
+        let hidden = motion.last_use(|motion| gru.step(hidden, motion));
         let [first, second] = &self.head;
         let delta = first.activated(binder, hidden, Activation::Relu);
-        (hidden, second.forward(binder, delta))
+        (hidden, delta.last_use(|delta| second.forward(binder, delta)))
     }
 }
