@@ -18,7 +18,7 @@ use dimode::config::Config;
 use dimode::run::training_frames;
 use dimode::teacher::Teacher;
 use dimode_autodiff::rng::uniform;
-use dimode_autodiff::{Shape, Tensor};
+use dimode_autodiff::{Pool, Shape, Tensor};
 
 /// The first batch of a default run of the given batch size.
 ///
@@ -27,7 +27,7 @@ use dimode_autodiff::{Shape, Tensor};
 pub fn rendered_batch(config: &Config) -> Batch {
     let frames = training_frames(config).expect("the embedded world needs no files");
     let items: Vec<_> = (0..config.train.batch).map(|i| (i, 1)).collect();
-    Batch::load(frames.as_ref(), &items, (&config.train, &Teacher::None), config.seed, 0).expect("rendered frames")
+    Batch::load(frames.as_ref(), &items, (&config.train, &Teacher::None), config.seed, 0, &Pool::new()).expect("rendered frames")
 }
 
 /// A tensor of colours in [0, 1).

@@ -137,7 +137,7 @@ impl<'t, T: Scalar> Binder<'t, T> {
                 path: path.clone(),
                 gradient: match gradients.get(*var) {
                     Some(gradient) => gradient.clone(),
-                    None => Tensor::zeros(var.shape()),
+                    None => self.tape.tensor(var.shape(), self.tape.buffer(var.shape().len())),
                 },
             }),
         };

@@ -47,6 +47,11 @@ impl<T: Scalar> Entry<T> {
         &self.tensor
     }
 
+    /// The values, to be changed in place; copied first while a tape or another handle shares them.
+    pub fn data_mut(&mut self) -> &mut [T] {
+        self.tensor.make_mut()
+    }
+
     /// Replaces the values.
     ///
     /// # Panics

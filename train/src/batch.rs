@@ -1,13 +1,14 @@
 //! Snippets as tensors: plain images for the losses, augmented ones for the networks.
 
-use dimode_autodiff::{Shape, Tensor, par};
+use std::sync::Arc;
+
+use dimode_autodiff::{Pool, Shape, Tensor, par};
 use dimode_geometry::Intrinsics;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::TrainConfig;
-use crate::data::{Augmentation, DataError, Dataset, Image, Map, snippet};
-use crate::model::stack;
+use crate::data::{Augmentation, DataError, Dataset, Map, Snippet, snippet};
 use crate::teacher::Teacher;
 
 /// Three images each, `[n, 3, h, w]`, colours in [0, 1].
@@ -41,17 +42,21 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// Loads and augments the snippets `(sequence, target frame)` of a step. Sample `i` of step `s` draws from stream
-    /// `s * n + i` of the seed.
+    /// Loads and augments the snippets `(sequence, target frame)` of a step into buffers of a pool. Sample `i` of step `s` draws
+    /// from stream `s * n + i` of the seed.
     ///
     /// # Errors
     /// When a frame or its pseudo-depth cannot be read.
+    ///
+    /// # Panics
+    /// When there is no snippet or images differ in size.
     pub fn load(
         dataset: &dyn Dataset,
         items: &[(usize, usize)],
         (config, teacher): (&TrainConfig, &Teacher),
         seed: u64,
         step: u64,
+        pool: &Arc<Pool<f32>>,
     ) -> Result<Batch, DataError> {
         let samples = par::map_indices(items.len(), |i| {
             let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x6175_676d);
@@ -59,29 +64,46 @@ impl Batch {
             sample(dataset, items[i], (config, teacher), &mut rng)
         });
         let samples = samples.into_iter().collect::<Result<Vec<_>, _>>()?;
-        let images = |pick: fn(&Sample) -> &[Image; 3]| Images {
-            previous: stack(samples.iter().map(|s| &pick(s)[0])),
-            target: stack(samples.iter().map(|s| &pick(s)[1])),
-            next: stack(samples.iter().map(|s| &pick(s)[2])),
+        let first = &samples.first().expect("a batch has at least one snippet").snippet.target.image;
+        let shape = Shape::new(items.len(), first.channels, first.height, first.width);
+        let mut buffers = [(); 6].map(|()| pool.take(shape.len()));
+        let mut places: Vec<Vec<&mut [f32]>> = items.iter().map(|_| Vec::with_capacity(6)).collect();
+        for buffer in &mut buffers {
+            for (place, images) in places.iter_mut().zip(buffer.chunks_exact_mut(shape.len() / items.len())) {
+                place.push(images);
+            }
+        }
+        par::for_each_item(places, |i, mut place| {
+            let Sample { snippet, change, .. } = &samples[i];
+            let frames = [&snippet.target, &snippet.sources[0], &snippet.sources[1]];
+            let (plain, seen) = place.split_at_mut(3);
+            for ((frame, plain), seen) in frames.into_iter().zip(plain).zip(seen) {
+                change.write_geometry(&frame.image, plain);
+                change.write_colours(plain, seen);
+            }
+        });
+        let [target, previous, next, seen_target, seen_previous, seen_next] =
+            buffers.map(|buffer| Tensor::pooled(shape, buffer, pool));
+        let camera = |s: &Sample| {
+            let camera = s.snippet.target.intrinsics;
+            if s.change.flip { camera.flipped_horizontal() } else { camera }
         };
         Ok(Batch {
-            names: samples.iter().map(|s| s.name.clone()).collect(),
+            names: samples.iter().map(|s| s.snippet.name.clone()).collect(),
             snippets: items.to_vec(),
-            flipped: samples.iter().map(|s| s.flipped).collect(),
-            plain: images(|s| &s.plain),
-            seen: images(|s| &s.seen),
-            intrinsics: samples.iter().map(|s| s.intrinsics).collect(),
-            pseudo_depth: pseudo_depth(&samples),
+            flipped: samples.iter().map(|s| s.change.flip).collect(),
+            plain: Images { target, previous, next },
+            seen: Images { target: seen_target, previous: seen_previous, next: seen_next },
+            intrinsics: samples.iter().map(camera).collect(),
+            pseudo_depth: pseudo_depth(&samples, pool),
         })
     }
 }
 
+/// A snippet as it was taken, and what is to happen to it.
 struct Sample {
-    name: String,
-    flipped: bool,
-    plain: [Image; 3],
-    seen: [Image; 3],
-    intrinsics: Intrinsics,
+    snippet: Snippet,
+    change: Augmentation,
     pseudo_depth: Option<Map>,
 }
 
@@ -94,21 +116,22 @@ fn sample(
     // Drawn whether used or not, so that one option does not change the random numbers of another.
     let drawn = Augmentation::draw(rng);
     let change = Augmentation { flip: drawn.flip && config.flip, jitter: drawn.jitter.filter(|_| config.jitter) };
-    let found = snippet(dataset, sequence, frame)?;
-    let pseudo_depth = teacher.map(dataset, (sequence, frame), &found.target)?;
+    let snippet = snippet(dataset, sequence, frame)?;
+    let pseudo_depth = teacher.map(dataset, (sequence, frame), &snippet.target)?;
     let pseudo_depth = pseudo_depth.map(|map| if change.flip { map.flip_horizontal() } else { map });
-    let taken = change.geometry(&found);
-    let plain = [&taken.sources[0], &taken.target, &taken.sources[1]].map(|f| f.image.clone());
-    let seen = plain.each_ref().map(|image| change.colours(image));
-    Ok(Sample { name: taken.name, flipped: change.flip, plain, seen, intrinsics: taken.target.intrinsics, pseudo_depth })
+    Ok(Sample { snippet, change, pseudo_depth })
 }
 
 /// The maps of all samples, when they have one.
-fn pseudo_depth(samples: &[Sample]) -> Option<Tensor<f32>> {
+fn pseudo_depth(samples: &[Sample], pool: &Arc<Pool<f32>>) -> Option<Tensor<f32>> {
     let maps: Option<Vec<&Map>> = samples.iter().map(|s| s.pseudo_depth.as_ref()).collect();
     let maps = maps.filter(|maps| !maps.is_empty())?;
     let shape = Shape::new(maps.len(), 1, maps[0].height, maps[0].width);
-    Some(Tensor::from_vec(shape, maps.iter().flat_map(|map| map.data.iter().copied()).collect()))
+    let mut joined = pool.take(shape.len());
+    for (place, map) in joined.chunks_exact_mut(shape.plane()).zip(maps) {
+        place.copy_from_slice(&map.data);
+    }
+    Some(Tensor::pooled(shape, joined, pool))
 }
 
 /// Tensors joined along the samples.
@@ -116,9 +139,26 @@ fn pseudo_depth(samples: &[Sample]) -> Option<Tensor<f32>> {
 /// # Panics
 /// When there is none or shapes differ beyond the first axis.
 pub fn join(parts: &[&Tensor<f32>]) -> Tensor<f32> {
+    join_in(&Pool::new(), parts)
+}
+
+/// The same in a buffer of a pool.
+///
+/// # Panics
+/// As [`join`].
+pub fn join_in(pool: &Arc<Pool<f32>>, parts: &[&Tensor<f32>]) -> Tensor<f32> {
     let mut shape = parts[0].shape();
+    let sample = shape.len() / shape.n();
     shape.0[0] = parts.iter().map(|p| p.shape().n()).sum();
-    Tensor::from_vec(shape, parts.iter().flat_map(|p| p.data().iter().copied()).collect())
+    assert!(parts.iter().all(|p| p.shape().0[1..] == shape.0[1..]), "join: shapes differ beyond the first axis");
+    let mut joined = pool.take(shape.len());
+    let mut rest = &mut joined[..];
+    for part in parts {
+        let (place, behind) = rest.split_at_mut(part.shape().n() * sample);
+        place.copy_from_slice(part.data());
+        rest = behind;
+    }
+    Tensor::pooled(shape, joined, pool)
 }
 
 /// The first `count` samples.

@@ -1,6 +1,8 @@
 //! The networks of a run, and their weights.
 
-use dimode_autodiff::{Scalar, Shape, Tensor, Var};
+use std::sync::Arc;
+
+use dimode_autodiff::{Pool, Scalar, Shape, Tensor, Var};
 use dimode_nets::{Binder, DepthNet, FlowNet, Network, ParamSet, PoseNet, RectifyNet};
 
 use crate::config::{NetsConfig, SCALE_ANCHOR};
@@ -42,8 +44,17 @@ impl DepthRange {
 
     /// Depth of plain disparities.
     pub fn depth_values(self, disparity: &Tensor<f32>) -> Tensor<f32> {
+        self.depth_in(&Pool::new(), disparity)
+    }
+
+    /// The same in a buffer of a pool.
+    pub fn depth_in(self, pool: &Arc<Pool<f32>>, disparity: &Tensor<f32>) -> Tensor<f32> {
         let (scale, offset) = ((1.0 / self.min - 1.0 / self.max) as f32, (1.0 / self.max) as f32);
-        Tensor::from_vec(disparity.shape(), disparity.data().iter().map(|d| 1.0 / (offset + scale * d)).collect())
+        let mut depth = pool.take(disparity.shape().len());
+        for (z, d) in depth.iter_mut().zip(disparity.data()) {
+            *z = 1.0 / (offset + scale * d);
+        }
+        Tensor::pooled(disparity.shape(), depth, pool)
     }
 }
 

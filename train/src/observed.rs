@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use dimode_autodiff::{Pool, Shape, Tape, Tensor, par};
 use dimode_nets::{Binder, FlowOptions, ParamSet};
 
-use crate::batch::{Batch, Images, join};
+use crate::batch::{Batch, Images, join, join_in};
 use crate::mirror::{mirrored, mirrored_flow};
 use crate::model::Model;
 
@@ -84,10 +84,12 @@ fn snippet_flow(
     let Images { target, previous, next } = &batch.plain;
     let [target, previous, next] = [target, previous, next].map(|images| {
         let shape = Shape::new(1, 3, images.shape().h(), images.shape().w());
-        let image = Tensor::from_vec(shape, images.data()[i * shape.len()..][..shape.len()].to_vec());
+        let mut image = pool.take(shape.len());
+        image.copy_from_slice(&images.data()[i * shape.len()..][..shape.len()]);
+        let image = Tensor::pooled(shape, image, pool);
         if batch.flipped[i] { mirrored(&image) } else { image }
     });
-    let (targets, sources) = (join(&[&target, &target]), join(&[&previous, &next]));
+    let (targets, sources) = (join_in(pool, &[&target, &target]), join_in(pool, &[&previous, &next]));
     let flow = |first: &Tensor<f32>, second: &Tensor<f32>| {
         let tape = Tape::with_pool(pool.clone());
         let net = Binder::frozen(&tape, weights);
@@ -131,7 +133,8 @@ mod tests {
         let mut flips = [false; 2];
         for step in 0..12 {
             let batch =
-                Batch::load(frames.as_ref(), &[(0, 1), (1, 2), (0, 3)], (&config.train, &Teacher::None), 3, step).unwrap();
+                Batch::load(frames.as_ref(), &[(0, 1), (1, 2), (0, 3)], (&config.train, &Teacher::None), 3, step, &Pool::new())
+                    .unwrap();
             // Some snippets are met one way first, and all are met again.
             let both_ways = step % 3 == 1;
             let found = ObservedFlow::default().of((&model, &weights), &batch, both_ways, &pool);

@@ -160,7 +160,15 @@ mod tests {
         assert!(least > -0.8 && most < 0.8 && most - least > 0.01 && most - least <= 0.1 + 1e-5, "{least} {most}");
         let mut seen = [false; 2];
         for step in 0..12 {
-            let batch = Batch::load(frames.as_ref(), &[(0, 1), (1, 1)], (&config.train, &teacher), 3, step).unwrap();
+            let batch = Batch::load(
+                frames.as_ref(),
+                &[(0, 1), (1, 1)],
+                (&config.train, &teacher),
+                3,
+                step,
+                &dimode_autodiff::Pool::new(),
+            )
+            .unwrap();
             let found = batch.pseudo_depth.unwrap();
             let expected = if batch.flipped[1] { mirrored(&tensor(&map)) } else { tensor(&map) };
             assert_eq!(found.plane(1, 0), expected.data());

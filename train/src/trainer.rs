@@ -6,19 +6,20 @@
 
 mod networks;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use dimode_autodiff::{Pool, Tape, Tensor, par};
 use dimode_geometry::Se3;
-use dimode_nets::{Binder, Mode, ParamGradient, ParamSet, StatisticsUpdate};
+use dimode_nets::{Binder, Kind, Mode, ParamGradient, ParamSet, StatisticsUpdate};
 
-use crate::batch::{Batch, join};
+use crate::batch::{Batch, join_in};
 use crate::config::{Config, StageConfig};
 use crate::model::{Model, Weights};
 use crate::non_finite::{Failure, NonFinite};
 use crate::objective::{self, FlowWays, Given, LossReport, Outputs, TermReport};
 use crate::observed::BatchFlow;
-use crate::optim::adamw::{AdamW, State};
+use crate::optim::adamw::{AdamW, State, has_finite_squares};
 use crate::optim::{clip_scale, gradient_norm};
 use crate::pose_refinement::Pairs;
 use networks::binder;
@@ -96,21 +97,10 @@ impl Trainer {
                 return Err(Failure { what: "gradient", term, sample: None }.at(step, batch));
             }
         }
-        let adamw = self.adamw();
-        let (mut weights, mut optimiser) = (self.weights.clone(), self.optimiser.clone());
         let gradients = [depth_gradients, pose_gradients, flow_step.unwrap_or_default(), rectify_gradients];
-        for (k, ((set, gradients), name)) in weights.sets_mut().into_iter().zip(gradients).zip(Weights::NAMES).enumerate() {
-            let scale = clip_scale(norms[k].unwrap_or(0.0), clip);
-            let rate = rate * [1.0, self.config.train.pose_rate, self.config.loss.flow.rate, 1.0][k];
-            update(&adamw, &mut optimiser, set, name, gradients, rate, scale);
-        }
-        weights.depth.apply_statistics(&statistics[0]);
-        weights.pose.apply_statistics(&statistics[1]);
-        weights.rectify.apply_statistics(&statistics[2]);
-        match without_finite_square(&weights) {
-            Some(failure) => return Err(failure.at(step, batch)),
-            None => (self.weights, self.optimiser) = (weights, optimiser),
-        }
+        let rates = [1.0, self.config.train.pose_rate, self.config.loss.flow.rate, 1.0].map(|share| rate * share);
+        let scales = norms.map(|norm| clip_scale(norm.unwrap_or(0.0), clip));
+        self.update(&gradients, &statistics, rates, scales).map_err(|failure| failure.at(step, batch))?;
         Ok(StepReport { total, terms, network_gradients: norms })
     }
 
@@ -137,9 +127,56 @@ impl Trainer {
         &self.pool
     }
 
+    /// Steps every parameter in place, if all weights and running statistics can be used afterwards; else nothing changes.
+    fn update(
+        &mut self,
+        gradients: &[Vec<ParamGradient<f32>>; 4],
+        statistics: &[Vec<StatisticsUpdate<f32>>; 3],
+        rates: [f64; 4],
+        scales: [f64; 4],
+    ) -> Result<(), Failure> {
+        let adamw = self.adamw();
+        let before = self.weights.sets().map(buffers);
+        self.weights.depth.apply_statistics(&statistics[0]);
+        self.weights.pose.apply_statistics(&statistics[1]);
+        self.weights.rectify.apply_statistics(&statistics[2]);
+        if let Some(failure) = self.unusable(&adamw, gradients, rates, scales) {
+            for (set, before) in self.weights.sets_mut().into_iter().zip(before) {
+                before.into_iter().for_each(|(path, buffer)| set.set(&path, buffer));
+            }
+            return Err(failure);
+        }
+        for (k, (network, set)) in Weights::NAMES.into_iter().zip(self.weights.sets_mut()).enumerate() {
+            for ParamGradient { path, gradient } in &gradients[k] {
+                let value = set.get_mut(path).expect("a bound parameter").data_mut();
+                adamw.step(&mut self.optimiser, &key(network, path), value, gradient, rates[k], scales[k]);
+            }
+        }
+        Ok(())
+    }
+
     fn adamw(&self) -> AdamW {
         let train = &self.config.train;
         AdamW { betas: train.betas, epsilon: train.epsilon, weight_decay: train.weight_decay }
+    }
+
+    /// The first weight or running statistic that nothing can be computed with after the step, because its square is not finite.
+    fn unusable(
+        &self,
+        adamw: &AdamW,
+        gradients: &[Vec<ParamGradient<f32>>; 4],
+        rates: [f64; 4],
+        scales: [f64; 4],
+    ) -> Option<Failure> {
+        Weights::NAMES.into_iter().zip(self.weights.sets()).enumerate().find_map(|(k, (network, set))| {
+            let stepped: BTreeMap<&str, &Tensor<f32>> = gradients[k].iter().map(|g| (g.path.as_str(), &g.gradient)).collect();
+            let is_usable = |path: &str, value: &[f32]| match stepped.get(path) {
+                Some(gradient) => adamw.keeps_usable(&self.optimiser, &key(network, path), value, gradient, rates[k], scales[k]),
+                None => has_finite_squares(value),
+            };
+            let (path, _) = set.iter().find(|(path, entry)| !is_usable(path, entry.tensor().data()))?;
+            Some(Failure { what: "square", term: format!("the updated weight {network}/{path}"), sample: None })
+        })
     }
 
     /// Losses of depth and motion, and the gradients of their networks' weights.
@@ -160,7 +197,7 @@ impl Trainer {
         let rectified = self.model.rectify.as_ref().map(|net| self.rectified(net, &mut rectify, batch, step));
         let seen = match &rectified {
             Some(rectified) => rectified.seen.clone(),
-            None => join(&[&batch.seen.previous, &batch.seen.next]),
+            None => join_in(&self.pool, &[&batch.seen.previous, &batch.seen.next]),
         };
         let outputs = Outputs {
             flow: self.flow_between(&flow, batch, needs.flow, (stage, observed)),
@@ -221,37 +258,22 @@ struct Scene {
 /// The sums of two lists of gradients of one network, the second of which may be empty.
 fn added(mut own: Vec<ParamGradient<f32>>, more: Vec<ParamGradient<f32>>) -> Vec<ParamGradient<f32>> {
     for (own, more) in own.iter_mut().zip(more) {
-        let sum = own.gradient.data().iter().zip(more.gradient.data()).map(|(a, b)| a + b).collect();
-        own.gradient = Tensor::from_vec(own.gradient.shape(), sum);
+        for (a, b) in own.gradient.make_mut().iter_mut().zip(more.gradient.data()) {
+            *a += b;
+        }
     }
     own
 }
 
-/// Steps every parameter of one network.
-fn update(
-    optimiser: &AdamW,
-    state: &mut State,
-    set: &mut ParamSet<f32>,
-    network: &str,
-    gradients: Vec<ParamGradient<f32>>,
-    rate: f64,
-    scale: f64,
-) {
-    for gradient in gradients {
-        let value = set.get(&gradient.path).expect("a bound parameter").tensor().clone();
-        let key = format!("{network}/{}", gradient.path);
-        let next = optimiser.step(state, &key, &value, &gradient.gradient, rate, scale);
-        set.set(&gradient.path, next);
-    }
+/// Name of a parameter among the optimiser's moments.
+fn key(network: &str, path: &str) -> String {
+    format!("{network}/{path}")
 }
 
-/// The first weight or running statistic whose square is not finite: nothing can be computed with it.
-fn without_finite_square(weights: &Weights) -> Option<Failure> {
-    Weights::NAMES.into_iter().zip(weights.sets()).find_map(|(network, set)| {
-        let bad = |tensor: &Tensor<f32>| tensor.data().iter().any(|value| !(value * value).is_finite());
-        let (path, _) = set.iter().find(|(_, entry)| bad(entry.tensor()))?;
-        Some(Failure { what: "square", term: format!("the updated weight {network}/{path}"), sample: None })
-    })
+/// The running statistics of a network.
+fn buffers(set: &ParamSet<f32>) -> Vec<(String, Tensor<f32>)> {
+    let statistics = set.iter().filter(|(_, entry)| entry.kind() == Kind::Buffer);
+    statistics.map(|(path, entry)| (path, entry.tensor().clone())).collect()
 }
 
 #[cfg(test)]
@@ -283,9 +305,10 @@ mod tests {
             let mut config = self.config.clone();
             change(&mut config.nets);
             let trainer = Trainer::new(&config, Model::new(&config.nets).init(3), State::default());
-            let batch = Batch::load(self.frames.as_ref(), &[(0, 1)], (&config.train, &Teacher::None), 1, 0).unwrap();
+            let batch =
+                Batch::load(self.frames.as_ref(), &[(0, 1)], (&config.train, &Teacher::None), 1, 0, &Pool::new()).unwrap();
             let tape = Tape::new();
-            let sources = join(&[&batch.seen.previous, &batch.seen.next]);
+            let sources = join_in(&trainer.pool, &[&batch.seen.previous, &batch.seen.next]);
             let [mut depth, mut pose] = [&trainer.weights.depth, &trainer.weights.pose].map(|set| binder(&tape, set, true));
             trainer
                 .run_networks(&tape, (&batch, &sources), (&config.train.stages[0], Needs::default()), &mut depth, &mut pose)
@@ -309,7 +332,8 @@ mod tests {
     #[test]
     fn a_step_to_weights_beyond_use_changes_nothing() {
         let setting = Setting::new();
-        let batch = Batch::load(setting.frames.as_ref(), &[(0, 1)], (&setting.config.train, &Teacher::None), 1, 0).unwrap();
+        let batch =
+            Batch::load(setting.frames.as_ref(), &[(0, 1)], (&setting.config.train, &Teacher::None), 1, 0, &Pool::new()).unwrap();
         let weights = Model::new(&setting.config.nets).init(3);
         let mut trainer = Trainer::new(&setting.config, weights.clone(), State::default());
         for rate in [1e25, 1e39] {

@@ -58,7 +58,7 @@ fn run(config: &Config) -> Run {
     let (schedule, teacher) = (Schedule::new(&config.train), Teacher::new(config));
     let mut step = |k: u64| {
         let items = sampler.batch(k as usize);
-        let batch = Batch::load(frames.as_ref(), &items, (&config.train, &teacher), config.seed, k).unwrap();
+        let batch = Batch::load(frames.as_ref(), &items, (&config.train, &teacher), config.seed, k, trainer.pool()).unwrap();
         trainer.step(&batch, None, schedule.stage(k).1, k, config.train.learning_rate, true).unwrap()
     };
     let reports = (0..config.train.steps).map(&mut step).collect();

@@ -37,9 +37,28 @@ impl Augmentation {
         if self.flip { flip_snippet(snippet) } else { snippet.clone() }
     }
 
-    /// The image that the networks see, made from a frame of [`Augmentation::geometry`].
-    pub fn colours(&self, image: &Image) -> Image {
-        self.jitter.map_or_else(|| image.clone(), |jitter| jitter.apply(image))
+    /// Writes the image of a frame as [`Augmentation::geometry`] has it.
+    ///
+    /// **Panics** when `out` does not have its size.
+    #[track_caller]
+    pub fn write_geometry(&self, image: &Image, out: &mut [f32]) {
+        let (size, room) = (image.data.len(), out.len());
+        assert_eq!(size, room, "Augmentation: values of a {}x{} image and room for them", image.height, image.width);
+        out.copy_from_slice(&image.data);
+        if self.flip {
+            out.chunks_exact_mut(image.width).for_each(<[f32]>::reverse);
+        }
+    }
+
+    /// Writes the image that the networks see, made from the three planes of what [`Augmentation::write_geometry`] wrote.
+    ///
+    /// **Panics** when the sizes differ.
+    #[track_caller]
+    pub fn write_colours(&self, image: &[f32], out: &mut [f32]) {
+        out.copy_from_slice(image);
+        if let Some(jitter) = self.jitter {
+            jitter.change(out);
+        }
     }
 }
 
@@ -107,8 +126,14 @@ impl Jitter {
     pub fn apply(&self, image: &Image) -> Image {
         assert_eq!(image.channels, 3, "Jitter::apply: channels of a {}x{} image", image.height, image.width);
         let mut out = image.clone();
-        let plane = out.plane_len();
-        let (red, rest) = out.data.split_at_mut(plane);
+        self.change(&mut out.data);
+        out
+    }
+
+    /// The same in place, on three planes.
+    fn change(&self, planes: &mut [f32]) {
+        let plane = planes.len() / 3;
+        let (red, rest) = planes.split_at_mut(plane);
         let (green, blue) = rest.split_at_mut(plane);
         for change in self.order {
             let planes = [&mut *red, &mut *green, &mut *blue];
@@ -119,7 +144,6 @@ impl Jitter {
                 Change::Hue => turn_hue(planes, self.hue),
             }
         }
-        out
     }
 }
 
@@ -285,10 +309,18 @@ mod tests {
     fn augmentation_separates_geometry_from_colours() {
         let snippet = Snippet { name: "s".into(), target: frame(1), sources: [frame(0), frame(2)] };
         let change = Augmentation { flip: false, jitter: Some(jitter(0.8, 1.0, 1.0, 0.05)) };
-        assert_eq!(change.geometry(&snippet).target.image, snippet.target.image);
-        assert_ne!(change.colours(&snippet.target.image), snippet.target.image);
-        let nothing = Augmentation { flip: false, jitter: None };
-        assert_eq!(nothing.colours(&snippet.target.image), snippet.target.image);
+        let image = &snippet.target.image;
+        let mut out = [image.data.clone(), image.data.clone()];
+        for (flip, jitter) in [(false, None), (true, None), (false, change.jitter), (true, change.jitter)] {
+            let change = Augmentation { flip, jitter };
+            let [plain, seen] = &mut out;
+            change.write_geometry(image, plain);
+            change.write_colours(plain, seen);
+            let mirrored = change.geometry(&snippet).target;
+            assert_eq!(plain, &mirrored.image.data);
+            assert_eq!(seen, &jitter.map_or(mirrored.image.clone(), |jitter| jitter.apply(&mirrored.image)).data);
+            assert_eq!(seen == plain, jitter.is_none());
+        }
     }
 
     proptest! {

@@ -331,9 +331,8 @@ mod tests {
             let found = rectify(target, reference, &cameras, step, |a, b| net.forward(&mut binder, a, b));
             let gradients = tape.backward(found.consistency.add(found.triplet));
             for item in binder.gradients(&gradients) {
-                let value = params.get(&item.path).unwrap().tensor();
-                let next = optimiser.step(&mut state, &item.path, value, &item.gradient, 1e-3, 1.0);
-                params.set(&item.path, next);
+                let value = params.get_mut(&item.path).unwrap().data_mut();
+                optimiser.step(&mut state, &item.path, value, &item.gradient, 1e-3, 1.0);
             }
             params.apply_statistics(&binder.into_statistics());
         }

@@ -10,7 +10,7 @@ use dimode_geometry::taped::{self, Pose, masks};
 
 use super::outputs::{Flow, Outputs};
 use super::view_pairs::{self, ViewPairs};
-use crate::batch::{Batch, join};
+use crate::batch::{Batch, join_in};
 use crate::config::{LossConfig, Occlusion, StageConfig};
 use crate::losses::flow_data::REACHED;
 use crate::losses::sc_depth_pair::PairMaps;
@@ -143,7 +143,8 @@ impl<'a, 'l> Scene<'a, 'l> {
     /// Both sources of the batch, without colour jitter, and without rotation where it was removed, `[2 n, 3, h, w]`.
     pub fn sources(&self) -> Var<'l, f32> {
         let images = &self.batch.plain;
-        self.leaves.rectified.unwrap_or_else(|| self.tape().constant(join(&[&images.previous, &images.next])))
+        let joined = || self.tape().constant(join_in(self.tape().pool(), &[&images.previous, &images.next]));
+        self.leaves.rectified.unwrap_or_else(joined)
     }
 }
 

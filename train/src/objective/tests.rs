@@ -34,7 +34,8 @@ impl Truth {
         (config.data.preset, config.data.worlds, config.data.frames) = (world, 2, 4);
         (config.train.flip, config.train.jitter) = (false, false);
         let frames = training_frames(&config).unwrap();
-        let batch = Batch::load(frames.as_ref(), &SNIPPETS, (&config.train, &Teacher::None), 1, 0).unwrap();
+        let batch = Batch::load(frames.as_ref(), &SNIPPETS, (&config.train, &Teacher::None), 1, 0, &dimode_autodiff::Pool::new())
+            .unwrap();
         Truth { config, frames, batch }
     }
 

@@ -5,9 +5,12 @@
 //!
 //! Numbers below 1e-30 become 0: moments of a weight without gradient decay into subnormal numbers otherwise, which slow every
 //! later step.
+//!
+//! Weights and moments change in place. [`AdamW::keeps_usable`] says beforehand whether they will be of use.
 
 use std::collections::BTreeMap;
 
+use dimode_autodiff::simd::{Arch, Simd, Wide, WithSimd};
 use dimode_autodiff::{Tensor, par};
 
 /// Settings; the defaults are those of the paper's optimiser (PyTorch's betas and epsilon).
@@ -42,45 +45,76 @@ pub struct Moments {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State(pub BTreeMap<String, Moments>);
 
+/// What moments are before the first step.
+static ZEROS: [f32; par::CHUNK] = [0.0; par::CHUNK];
+
 impl AdamW {
-    /// One step of the parameter at `path`: the new values. `gradient` is multiplied by `scale` first (clipping).
+    /// Takes one step of the parameter at `path`. `gradient` is multiplied by `scale` first (clipping).
     ///
     /// # Panics
-    /// When shapes differ.
-    pub fn step(
-        &self,
-        state: &mut State,
-        path: &str,
-        value: &Tensor<f32>,
-        gradient: &Tensor<f32>,
-        learning_rate: f64,
-        scale: f64,
-    ) -> Tensor<f32> {
-        let shape = value.shape();
-        assert!(gradient.shape() == shape, "adamw: {path} has shape {shape}, its gradient {}", gradient.shape());
-        let old = state.0.get(path);
-        let steps = old.map_or(0, |m| m.steps) + 1;
-        let mut first = old.map_or_else(|| vec![0.0; shape.len()], |m| m.first.to_vec());
-        let mut second = old.map_or_else(|| vec![0.0; shape.len()], |m| m.second.to_vec());
-        let mut next = value.to_vec();
-        let kernel = Kernel::new(self, steps, learning_rate, scale);
+    /// When sizes differ.
+    pub fn step(&self, state: &mut State, path: &str, value: &mut [f32], gradient: &Tensor<f32>, learning_rate: f64, scale: f64) {
+        assert_size(path, value, gradient);
+        let zeros = || Tensor::zeros(gradient.shape());
+        if !state.0.contains_key(path) {
+            state.0.insert(path.to_owned(), Moments { steps: 0, first: zeros(), second: zeros() });
+        }
+        let moments = state.0.get_mut(path).expect("just put there");
+        moments.steps += 1;
+        let rule = Rule::new(self, moments.steps, learning_rate, scale);
+        let (first, second) = (moments.first.make_mut(), moments.second.make_mut());
         let rows: Vec<_> = first
             .chunks_mut(par::CHUNK)
             .zip(second.chunks_mut(par::CHUNK))
-            .zip(next.chunks_mut(par::CHUNK).zip(gradient.data().chunks(par::CHUNK)))
+            .zip(value.chunks_mut(par::CHUNK).zip(gradient.data().chunks(par::CHUNK)))
             .collect();
-        par::for_each_item(rows, |_, ((m, v), (w, g))| {
-            for (((m, v), w), &g) in m.iter_mut().zip(v).zip(w).zip(g) {
-                kernel.update(m, v, w, g);
-            }
+        par::for_each_item(rows, |_, ((m, v), (w, g))| Arch::new().dispatch(Update { rule, m, v, w, g }));
+    }
+
+    /// Whether after the same step every weight has a finite square, without which nothing can be computed with it. Changes
+    /// nothing.
+    ///
+    /// # Panics
+    /// When sizes differ.
+    pub fn keeps_usable(
+        &self,
+        state: &State,
+        path: &str,
+        value: &[f32],
+        gradient: &Tensor<f32>,
+        learning_rate: f64,
+        scale: f64,
+    ) -> bool {
+        assert_size(path, value, gradient);
+        let old = state.0.get(path);
+        let rule = Rule::new(self, old.map_or(0, |m| m.steps) + 1, learning_rate, scale);
+        let parts = par::map_indices(value.len().div_ceil(par::CHUNK), |i| {
+            let part = i * par::CHUNK..value.len().min((i + 1) * par::CHUNK);
+            let moment = |of: fn(&Moments) -> &Tensor<f32>| match old {
+                Some(moments) => &of(moments).data()[part.clone()],
+                None => &ZEROS[..part.len()],
+            };
+            let (m, v) = (moment(|m| &m.first), moment(|m| &m.second));
+            Arch::new().dispatch(Look { rule, m, v, w: &value[part.clone()], g: &gradient.data()[part.clone()] })
         });
-        let moments = Moments { steps, first: Tensor::from_vec(shape, first), second: Tensor::from_vec(shape, second) };
-        state.0.insert(path.to_string(), moments);
-        Tensor::from_vec(shape, next)
+        parts.into_iter().all(|usable| usable)
     }
 }
 
-struct Kernel {
+/// Whether all numbers can be squared.
+pub fn has_finite_squares(numbers: &[f32]) -> bool {
+    numbers.iter().all(|x| (x * x).is_finite())
+}
+
+#[track_caller]
+fn assert_size(path: &str, value: &[f32], gradient: &Tensor<f32>) {
+    let shape = gradient.shape();
+    assert!(shape.len() == value.len(), "adamw: {path} has {} entries, its gradient {shape}", value.len());
+}
+
+/// The numbers of one step.
+#[derive(Clone, Copy)]
+struct Rule {
     scale: f32,
     b1: f32,
     b2: f32,
@@ -90,11 +124,11 @@ struct Kernel {
     epsilon: f32,
 }
 
-impl Kernel {
+impl Rule {
     fn new(settings: &AdamW, steps: u64, learning_rate: f64, scale: f64) -> Self {
         let [b1, b2] = settings.betas;
         let power = steps.min(i32::MAX as u64) as i32;
-        Kernel {
+        Rule {
             scale: scale as f32,
             b1: b1 as f32,
             b2: b2 as f32,
@@ -105,18 +139,97 @@ impl Kernel {
         }
     }
 
+    /// Moments and weight after the step. Nothing is fused: the bits are the same for every instruction set.
     #[inline(always)]
-    fn update(&self, m: &mut f32, v: &mut f32, w: &mut f32, g: f32) {
-        let g = g * self.scale;
-        *m = flush(self.b1 * *m + (1.0 - self.b1) * g);
-        *v = flush(self.b2 * *v + (1.0 - self.b2) * g * g);
-        *w = flush(*w * self.keep - self.rate * *m / ((*v * self.root).sqrt() + self.epsilon));
+    fn next<S: Simd>(self, [m, v, w, g]: [Wide<S, f32>; 4]) -> [Wide<S, f32>; 3] {
+        let g = g * w.like(self.scale);
+        let m = flush(w.like(self.b1) * m + w.like(1.0 - self.b1) * g);
+        let v = flush(w.like(self.b2) * v + w.like(1.0 - self.b2) * g * g);
+        let divisor = (v * w.like(self.root)).sqrt() + w.like(self.epsilon);
+        [m, v, flush(w * w.like(self.keep) - w.like(self.rate) * m / divisor)]
     }
 }
 
+/// 0 in place of what is on its way to the subnormal numbers.
 #[inline(always)]
-fn flush(x: f32) -> f32 {
-    if x.abs() < 1e-30 { 0.0 } else { x }
+fn flush<S: Simd>(x: Wide<S, f32>) -> Wide<S, f32> {
+    x.abs().less(x.like(1e-30)).choose(x.like(0.0), x)
+}
+
+/// The start of all four slices, at most one register of each.
+#[inline(always)]
+fn load<S: Simd>(simd: S, x: [&[f32]; 4], at: usize) -> [Wide<S, f32>; 4] {
+    let [m, v, w, g] = x;
+    if at + Wide::<S, f32>::lanes() <= g.len() {
+        [Wide::load(simd, &m[at..]), Wide::load(simd, &v[at..]), Wide::load(simd, &w[at..]), Wide::load(simd, &g[at..])]
+    } else {
+        [
+            Wide::load_part(simd, &m[at..]),
+            Wide::load_part(simd, &v[at..]),
+            Wide::load_part(simd, &w[at..]),
+            Wide::load_part(simd, &g[at..]),
+        ]
+    }
+}
+
+/// A step of some weights.
+struct Update<'a> {
+    rule: Rule,
+    m: &'a mut [f32],
+    v: &'a mut [f32],
+    w: &'a mut [f32],
+    g: &'a [f32],
+}
+
+impl WithSimd for Update<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { rule, m, v, w, g } = self;
+        let (lanes, len) = (Wide::<S, f32>::lanes(), g.len());
+        for at in (0..len).step_by(lanes) {
+            let [next_m, next_v, next_w] = rule.next(load(simd, [m, v, w, g], at));
+            if at + lanes <= len {
+                next_m.store(&mut m[at..]);
+                next_v.store(&mut v[at..]);
+                next_w.store(&mut w[at..]);
+            } else {
+                next_m.store_part(&mut m[at..]);
+                next_v.store_part(&mut v[at..]);
+                next_w.store_part(&mut w[at..]);
+            }
+        }
+    }
+}
+
+/// Whether a step of some weights leaves finite squares.
+struct Look<'a> {
+    rule: Rule,
+    m: &'a [f32],
+    v: &'a [f32],
+    w: &'a [f32],
+    g: &'a [f32],
+}
+
+impl WithSimd for Look<'_> {
+    type Output = bool;
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> bool {
+        let Self { rule, m, v, w, g } = self;
+        let (lanes, len) = (Wide::<S, f32>::lanes(), g.len());
+        let mut failed = Wide::splat(simd, 0.0_f32);
+        let mut last = [0.0; 64];
+        for at in (0..len).step_by(lanes) {
+            let [_, _, w] = rule.next(load(simd, [m, v, w, g], at));
+            if at + lanes <= len {
+                // Neither infinity nor NaN is at most the largest number.
+                failed = (w * w).at_most(w.like(f32::MAX)).choose(failed, w.like(1.0));
+            } else {
+                w.store_part(&mut last[..len - at]);
+            }
+        }
+        failed.sum() == 0.0 && has_finite_squares(&last)
+    }
 }
 
 #[cfg(test)]
@@ -126,11 +239,11 @@ mod tests {
 
     fn run(gradients: &[f32], settings: AdamW, rate: f64) -> (f32, State) {
         let mut state = State::default();
-        let mut w = Tensor::full(Shape::SCALAR, 1.0);
+        let mut w = [1.0];
         for &g in gradients {
-            w = settings.step(&mut state, "w", &w, &Tensor::full(Shape::SCALAR, g), rate, 1.0);
+            settings.step(&mut state, "w", &mut w, &Tensor::full(Shape::SCALAR, g), rate, 1.0);
         }
-        (w.item(), state)
+        (w[0], state)
     }
 
     #[test]
@@ -144,6 +257,62 @@ mod tests {
         let v: f64 = (0.999 * 0.00025 + 0.001 * 0.0625) / (1.0 - 0.999 * 0.999);
         let want = w * (1.0 - 0.001) - 0.1 * m / (v.sqrt() + 1e-8);
         assert!((f64::from(after_two) - want).abs() < 1e-6, "{after_two} against {want}");
+    }
+
+    /// The rule for one number, as the formulas have it.
+    fn one(settings: &AdamW, steps: u64, [m, v, w, g]: [f32; 4], rate: f64) -> [f32; 3] {
+        let rule = Rule::new(settings, steps, rate, 0.5);
+        let flush = |x: f32| if x.abs() < 1e-30 { 0.0 } else { x };
+        let g = g * rule.scale;
+        let m = flush(rule.b1 * m + (1.0 - rule.b1) * g);
+        let v = flush(rule.b2 * v + (1.0 - rule.b2) * g * g);
+        [m, v, flush(w * rule.keep - rule.rate * m / ((v * rule.root).sqrt() + rule.epsilon))]
+    }
+
+    #[test]
+    fn every_weight_moves_by_the_rule_on_any_number_of_threads() {
+        let shape = Shape::new(1, 1, 1, par::CHUNK + 45);
+        let settings = AdamW { epsilon: 0.0, ..AdamW::default() };
+        let start: Tensor<f32> = dimode_autodiff::rng::uniform(1, shape, -1.0, 1.0);
+        let gradients = [2, 3].map(|seed| dimode_autodiff::rng::uniform::<f32>(seed, shape, -1.0, 1.0));
+        let after = |threads: usize| {
+            let (mut state, mut w) = (State::default(), start.to_vec());
+            par::with_threads(threads, || {
+                for gradient in &gradients {
+                    assert!(settings.keeps_usable(&state, "w", &w, gradient, 0.01, 0.5));
+                    settings.step(&mut state, "w", &mut w, gradient, 0.01, 0.5);
+                }
+            });
+            let Moments { first, second, .. } = &state.0["w"];
+            [first.to_vec(), second.to_vec(), w]
+        };
+        let found = after(1);
+        for threads in 2..5 {
+            assert_eq!(after(threads), found);
+        }
+        for i in 0..shape.len() {
+            let [m, v, w] = one(&settings, 1, [0.0, 0.0, start.data()[i], gradients[0].data()[i]], 0.01);
+            let want = one(&settings, 2, [m, v, w, gradients[1].data()[i]], 0.01);
+            assert_eq!([found[0][i], found[1][i], found[2][i]].map(f32::to_bits), want.map(f32::to_bits), "entry {i}");
+        }
+    }
+
+    #[test]
+    fn one_weight_beyond_use_is_found_wherever_it_is() {
+        let (settings, len) = (AdamW::default(), par::CHUNK + 45);
+        for i in [0, 17, par::CHUNK - 1, par::CHUNK + 3, len - 1] {
+            for bad in [1e30, f32::NAN, f32::NEG_INFINITY] {
+                let mut w = vec![0.5; len];
+                w[i] = bad;
+                let gradient = Tensor::full(Shape::new(1, 1, 1, len), 0.1);
+                assert!(!settings.keeps_usable(&State::default(), "w", &w, &gradient, 0.1, 1.0), "{bad} at {i}");
+                let (w, mut steep) = (vec![0.5; len], vec![0.1; len]);
+                steep[i] = bad;
+                let steep = Tensor::from_vec(gradient.shape(), steep);
+                let usable = settings.keeps_usable(&State::default(), "w", &w, &steep, 0.1, 1.0);
+                assert_eq!(usable, bad == 1e30, "a gradient of {bad} at {i}");
+            }
+        }
     }
 
     #[test]

@@ -112,6 +112,8 @@ impl<'a, T: Task> Learner<'a, T> {
         let statistics = binder.into_statistics();
         let norm = gradient_norm(&gradients);
         finite(norm, step + 1, "gradient", weights_of::<T>)?;
+        // The tape shares the weights, which change in place when it is gone.
+        drop(tape);
         self.update(gradients, self.settings.learning_rate(step), clip_scale(norm, CLIP_NORM));
         self.params.apply_statistics(&statistics);
         Ok(value)
@@ -119,9 +121,8 @@ impl<'a, T: Task> Learner<'a, T> {
 
     fn update(&mut self, gradients: Vec<ParamGradient<f32>>, rate: f64, scale: f64) {
         for gradient in gradients {
-            let value = self.params.get(&gradient.path).expect("a bound parameter").tensor().clone();
-            let next = self.optimiser.step(&mut self.state, &gradient.path, &value, &gradient.gradient, rate, scale);
-            self.params.set(&gradient.path, next);
+            let value = self.params.get_mut(&gradient.path).expect("a bound parameter").data_mut();
+            self.optimiser.step(&mut self.state, &gradient.path, value, &gradient.gradient, rate, scale);
         }
     }
 

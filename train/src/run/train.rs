@@ -51,8 +51,10 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
     let schedule = Schedule::new(&config.train);
     let steps = config.train.steps;
     let teacher = Teacher::new(config);
-    let load =
-        |items: Vec<(usize, usize)>, step| Batch::load(dataset.as_ref(), &items, (&config.train, &teacher), config.seed, step);
+    let pool = trainer.pool().clone();
+    let load = |items: Vec<(usize, usize)>, step| {
+        Batch::load(dataset.as_ref(), &items, (&config.train, &teacher), config.seed, step, &pool)
+    };
     let observed = ObservedFlow::default();
     let mut prepared = None;
     progress.start(steps, "training");

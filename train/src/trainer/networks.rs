@@ -4,7 +4,7 @@ use dimode_autodiff::{Tape, Tensor, rng};
 use dimode_nets::{Binder, Mode, ParamSet, RectifyNet};
 
 use super::Trainer;
-use crate::batch::{Batch, join};
+use crate::batch::{Batch, join_in};
 use crate::config::StageConfig;
 use crate::objective::{Flow, FlowWays, Needs, Outputs, SourceDepth};
 use crate::observed::{BatchFlow, ObservedFlow};
@@ -32,7 +32,7 @@ impl Trainer {
         let images = &batch.seen;
         let n = batch.names.len();
         let together = needs.source_depth == SourceDepth::Gradient;
-        let seen = if together { join(&[&images.target, seen_sources]) } else { images.target.clone() };
+        let seen = if together { join_in(&self.pool, &[&images.target, seen_sources]) } else { images.target.clone() };
         let disparities = self.model.depth.forward(depth, tape.constant(seen));
         let scales = || disparities.iter().take(self.config.loss.scales);
         let source_disparities = match needs.source_depth {
@@ -41,15 +41,19 @@ impl Trainer {
             SourceDepth::Gradient => scales().map(|d| d.slice(0, n, 2 * n)).collect(),
         };
         let targets: Vec<_> = scales().map(|d| d.slice(0, 0, n)).collect();
-        let depth = self.model.range.depth_values(&targets[0].value());
+        let looks = self.config.nets.pose_iterations;
+        let depth = (looks > 1).then(|| {
+            let depth = self.model.range.depth_in(&self.pool, &targets[0].value());
+            join_in(&self.pool, &[&depth, &depth])
+        });
         let pairs = Pairs {
-            target: &join(&[&images.target, &images.target]),
+            target: &join_in(&self.pool, &[&images.target, &images.target]),
             source: seen_sources,
             earlier: n,
-            depth: Some(&join(&[&depth, &depth])),
+            depth: depth.as_ref(),
             cameras: &[&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
         };
-        let motion = self.model.source_from_target(pose, &pairs, self.config.nets.pose_iterations);
+        let motion = self.model.source_from_target(pose, &pairs, looks);
         Outputs { disparities: targets, source_disparities, motion, flow: None, rectified: None }
     }
 
@@ -75,8 +79,8 @@ impl Trainer {
         let tape = net.tape();
         if stage.train_flow {
             let images = &batch.plain;
-            let targets = tape.constant(join(&[&images.target, &images.target]));
-            let sources = tape.constant(join(&[&images.previous, &images.next]));
+            let targets = tape.constant(join_in(&self.pool, &[&images.target, &images.target]));
+            let sources = tape.constant(join_in(&self.pool, &[&images.previous, &images.next]));
             let said =
                 |first, second| *self.model.flow.forward(net, first, second, self.model.flow_iterations).last().expect("a flow");
             let backward = both_ways.then(|| said(sources, targets));
@@ -100,8 +104,8 @@ impl Trainer {
         step: u64,
     ) -> RectifiedSources<'t> {
         let (seen, plain) = (&batch.seen, &batch.plain);
-        let target = join(&[&seen.target, &seen.target]);
-        let [seen, plain] = [seen, plain].map(|images| join(&[&images.previous, &images.next]));
+        let target = join_in(&self.pool, &[&seen.target, &seen.target]);
+        let [seen, plain] = [seen, plain].map(|images| join_in(&self.pool, &[&images.previous, &images.next]));
         let cameras = [&batch.intrinsics[..], &batch.intrinsics[..]].concat();
         let seed = rng::splitmix64(self.config.seed ^ ROTATIONS, step);
         rectified_sources(net, binder, [&target, &seen, &plain], &cameras, seed)
