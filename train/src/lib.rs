@@ -7,6 +7,7 @@ mod counted;
 pub mod data;
 pub mod eval;
 pub mod losses;
+pub mod memory;
 pub mod mirror;
 pub mod model;
 pub mod non_finite;

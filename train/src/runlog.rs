@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::data::{DataError, write_atomic};
+use crate::memory::PeakMemory;
 use crate::objective::ImageReport;
 
 /// What one step left behind.
@@ -34,6 +35,9 @@ pub struct StepRecord {
     pub learning_rate: f64,
     /// Time the step took, in seconds.
     pub seconds: f64,
+    /// Peaks of memory so far. Like the time, they are measured: two runs of one seed differ in them.
+    #[serde(default)]
+    pub memory: PeakMemory,
 }
 
 fn numbers<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, f64>, D::Error> {
@@ -130,6 +134,7 @@ mod tests {
             images: BTreeMap::new(),
             learning_rate: 1e-3,
             seconds: 0.25,
+            memory: PeakMemory { process: None, pool: 1000 * step },
         }
     }
 
@@ -175,6 +180,17 @@ mod tests {
         assert!(back[0].images["rad"][0].value.is_nan());
         assert_eq!(back[0].images["rad"][1], ImageReport { value: 0.5, pixels: 3 });
         assert_eq!(back[0].terms["pho"], bad.terms["pho"]);
+    }
+
+    #[test]
+    fn a_log_from_before_memory_was_told_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.jsonl");
+        let text = line(&record(1));
+        let old = text.replace(r#","memory":{"pool":1000}"#, "");
+        assert!(old.len() < text.len());
+        fs::write(&path, old).unwrap();
+        assert_eq!(read(&path).unwrap(), [StepRecord { memory: PeakMemory::default(), ..record(1) }]);
     }
 
     #[test]

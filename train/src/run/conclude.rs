@@ -17,6 +17,7 @@ use crate::eval::{
     Alignment, DepthTable, DepthTableBuilder, EvalError, Evaluation, MeanDisparity, MeanMotion, MotionTable, MotionTableBuilder,
     OdometryProtocol, TrivialDepth, align_trajectory, follow,
 };
+use crate::memory::PeakMemory;
 use crate::model::{Weights, stack};
 use crate::progress::Progress;
 use crate::report::{
@@ -228,6 +229,7 @@ fn report(
     let config = &request.config;
     let records = runlog::read(&folder.log())?;
     let seconds: f64 = records.iter().map(|r| r.seconds).sum();
+    let memory = records.iter().map(|r| r.memory).fold(PeakMemory::default(), PeakMemory::max);
     let parameters = Weights::NAMES.into_iter().zip(trained.weights.sets().map(|set| set.parameter_count()));
     let parameters = parameters.filter(|(_, count)| *count > 0);
     let mut facts = vec![
@@ -235,6 +237,7 @@ fn report(
         ("seed".to_owned(), config.seed.to_string()),
         ("steps x batch".to_owned(), format!("{} x {}", config.train.steps, config.train.batch)),
         ("training time".to_owned(), format!("{:.0} s", seconds)),
+        ("peak memory of training".to_owned(), memory.to_string()),
         ("frame size".to_owned(), format!("{} x {}", config.data.width, config.data.height)),
     ];
     facts.extend(parameters.map(|(name, count)| (format!("{name} network"), format!("{count} parameters"))));

@@ -15,6 +15,7 @@ use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, hash};
 use crate::config::{Config, Decay as DecayConfig};
 use crate::data::Dataset;
+use crate::memory::PeakMemory;
 use crate::model::{Model, Weights};
 use crate::objective::{FlowWays, needs};
 use crate::observed::{BatchFlow, ObservedFlow};
@@ -57,6 +58,7 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
     };
     let observed = ObservedFlow::default();
     let mut prepared = None;
+    let mut memory = PeakMemory::now(0);
     progress.start(steps, "training");
     while step < steps {
         let began = Instant::now();
@@ -94,7 +96,9 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
         let report = report.with_context(place)?;
         prepared = upcoming?;
         step += 1;
-        log.append(&record(step, &stage.name, &report, rate, began.elapsed().as_secs_f64()))?;
+        memory = PeakMemory::now(trainer.pool().peak_bytes());
+        let measured = (began.elapsed().as_secs_f64(), memory);
+        log.append(&record(step, &stage.name, &report, rate, measured))?;
         progress.step(step, &message(&report));
         let stopping = stop.load(Ordering::Relaxed);
         if stopping || step == steps || step.is_multiple_of(config.train.checkpoint_every) {
@@ -107,6 +111,7 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
         }
     }
     progress.finish();
+    progress.note(&format!("peak memory of training: {memory}"));
     let Trainer { model, weights, .. } = trainer;
     let trained = TrainedModel { config: config.clone(), model, weights };
     finish(request, &folder, dataset.as_ref(), &trained, progress, stop)
@@ -211,8 +216,8 @@ fn rate_of(config: &Config, step: u64) -> f64 {
     learning_rate(train.learning_rate, step as usize, train.steps as usize, warmup as usize, decay)
 }
 
-fn record(step: u64, stage: &str, report: &StepReport, rate: f64, seconds: f64) -> StepRecord {
-    let mut record = StepRecord { step, stage: stage.to_owned(), learning_rate: rate, seconds, ..StepRecord::default() };
+fn record(step: u64, stage: &str, report: &StepReport, rate: f64, (seconds, memory): (f64, PeakMemory)) -> StepRecord {
+    let mut record = StepRecord { step, stage: stage.to_owned(), learning_rate: rate, seconds, memory, ..StepRecord::default() };
     record.terms.insert("total".into(), report.total);
     for term in &report.terms {
         record.terms.insert(term.name.clone(), term.value);
