@@ -2,9 +2,9 @@
 //! (Lavin and Gray 2016, arXiv 1509.09308). Numbers are only halved, added and multiplied, and no output depends on an input
 //! outside its own 3 x 3 window: zeros and NaN go no further than in the direct product.
 //!
-//! Inputs are transformed into 16 planes of tiles, so are the weights, and each plane is a matrix product of its own. A unit of work
-//! is a block of rows of tiles with all outputs, whose planes stay in the second-level cache; where there are few such blocks, it is
-//! a block and a group of outputs, and the inputs are transformed before.
+//! Inputs are transformed into 16 planes of tiles, so are the weights, and each plane is a matrix product of its own. A unit of
+//! work is a block of rows of tiles with all outputs, whose planes stay in the second-level cache; where there are few such
+//! blocks, it is a block and a group of outputs, and the inputs are transformed before.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -125,8 +125,12 @@ impl<T: Scalar> Winograd<'_, T> {
     fn sizes(&self) -> Sizes {
         let [images, channels, ..] = self.size;
         let (high, wide) = (self.out_size[0].div_ceil(2), self.out_size[1].div_ceil(2));
-        let most = (BLOCK_SIZE / channels).clamp(128, 192) / wide;
-        let blocks = (images * high).div_ceil(most.max(1));
+        let count = |least: usize| {
+            let rows = (BLOCK_SIZE / channels).clamp(least, 192) / wide;
+            (images * high).div_ceil(rows.max(1))
+        };
+        // Blocks that share their inputs are better large.
+        let blocks = if count(64) < ENOUGH { count(128) } else { count(64) };
         let block = (images * high).div_ceil(blocks);
         // Whole cache lines, an odd number of them: channels would share few places of the nearest cache otherwise.
         let lines = ((block - 1) * wide + wide.next_multiple_of(16)).div_ceil(16);
