@@ -5,8 +5,8 @@
 //! vjp: `dx` scatters the same products, `dw[o, c, u, v] = sum over n, i, j of g x`, `db[o] = sum g`. Linear in input, weight
 //! and bias. Keeps input and weight, each only when the other one needs its gradient.
 //!
-//! `conv/choice.rs` says which kernel for which shape. Units of work are cut by the shape alone, so bits do not depend on the number
-//! of threads.
+//! `conv/choice.rs` says which kernel for which shape. Units of work are cut by the shape alone, so bits do not depend on the
+//! number of threads.
 
 use super::conv::layout::Layout;
 use super::conv::{backward_input, backward_weight, forward};

@@ -8,18 +8,18 @@
 //! |---|---|---|
 //! | 1x1 64-256, 24x80 | product 146 / 135 / 133 | direct 102 / 62 / 45 |
 //! | depth-wise 3x3 64, 48x160, any dilation | plane by plane 36 / 34 / 33 | direct 21 / 17 / 16 |
-//! | 3x3 64-64, 48x160 | Winograd 209 / 211, strips 132 | direct 132 / 126; product alone 153 |
-//! | 3x3 128-128, 24x80 | Winograd 208 / 212, strips 137 | direct 137 / 132; product alone 124 |
-//! | 3x3 256-256, 12x40 | Winograd 180 / 173, strips 128 | direct 135 / 127; product alone 145 |
-//! | 3x3 512-512, 6x20 | direct 131 / 106, strips 83 | Winograd 108 / 86; product alone 134 |
-//! | 3x3 16-16, 192x640 | direct 99 / 93, strips 96 | Winograd 99 / 84; planes for the weights 63 |
-//! | 3x3 32-16, 96x320 | Winograd 137 / 131, strips 109 | direct 121 / 117; planes for the weights 80 |
-//! | 3x3 stride 2 64-128, 48x160 | direct 115 / 79, strips 123 | |
-//! | 7x7 stride 2 3-64, 192x640 | direct 130 / 52, strips 97 | |
+//! | 3x3 64-64, 48x160 | Winograd 216 / 215, strips 139 | direct 132 / 126; product alone 153 |
+//! | 3x3 128-128, 24x80 | Winograd 232 / 245, strips 146 | direct 137 / 132; product alone 124 |
+//! | 3x3 256-256, 12x40 | Winograd 186 / 197, strips 135 | direct 135 / 127; product alone 145 |
+//! | 3x3 512-512, 6x20 | direct 127 / 108, strips 85 | Winograd 108 / 86; product alone 134 |
+//! | 3x3 16-16, 192x640 | direct 112 / 106, strips 104 | Winograd 99 / 84; planes for the weights 80 |
+//! | 3x3 32-16, 96x320 | Winograd 133 / 143, strips 120 | direct 121 / 117; planes for the weights 84 |
+//! | 3x3 stride 2 64-128, 48x160 | direct 117 / 82, strips 127 | |
+//! | 7x7 stride 2 3-64, 192x640 | direct 132 / 55, strips 104 | |
 //!
 //! A column matrix has nine times the size of the image and must be written and read besides, so a product pays only where the
-//! input is its column matrix already. Winograd's transforms of the weights cost as much as ten tiles, those of tiles as much as
-//! ten channels or so. In the direct gradient of the weights, more than 8 outputs go in strips, whose products reach 140 to 160
+//! input is its column matrix already. Winograd's transforms of the weights pay only over many tiles, those of the tiles only
+//! over many channels. In the direct gradient of the weights, more than 8 outputs go in strips, whose products reach 140 to 160
 //! alone; up to 8 go by planes, which have nothing to transpose but reach 105.
 
 use super::layout::Layout;

@@ -116,7 +116,7 @@ fn spread_weights<S: Simd, T: Scalar>([a, b, c]: [Wide<S, T>; 3], half: Wide<S, 
     [a, ends + middle, ends - middle, c]
 }
 
-/// Rows of tiles of one input plane, transformed: `B' d B` with `B' = [1 0 -1 0; 0 1 1 0; 0 -1 1 0; 0 1 0 -1]` of every 4 x 4 patch.
+/// Rows of tiles of one input plane, transformed: `B' d B` of every 4 x 4 patch, `B' = [1 0 -1 0; 0 1 1 0; 0 -1 1 0; 0 1 0 -1]`.
 pub struct Inputs<'a, 'b, T> {
     /// Rows of `width`.
     pub x: &'a [T],
