@@ -7,14 +7,14 @@ use crate::Scalar;
 
 /// Buffers below this many elements are not worth keeping.
 const SMALLEST_KEPT: usize = 256;
-/// A buffer of at least one part in this many of a request is replaced by the one that is made for it.
-const REPLACED_SHARE: usize = 4;
+/// A buffer serves requests down to one part in this many of its length. Fewer would strand memory in buffers of rare lengths, more
+/// would spend long buffers on short requests.
+const LONGEST: usize = 2;
 
 /// A store of buffers. Tensors of a [`Tape`](crate::Tape) return their buffer here when the last handle is gone.
 ///
-/// A request is served by the smallest buffer that is long enough. When none is, a new one is made and the longest of those at
-/// rest is given back to the system: buffers grow rather than become more, so that no memory is stranded in rare lengths. After
-/// few steps of one kind every request finds its buffer.
+/// A request is served by the smallest buffer that is long enough and not more than twice as long; when there is none, a new one is
+/// made. After few steps of one kind every request finds its buffer.
 #[derive(Debug, Default)]
 pub struct Pool<T> {
     store: Mutex<Store<T>>,
@@ -33,16 +33,9 @@ struct Store<T> {
 }
 
 impl<T> Store<T> {
-    /// The smallest buffer at rest that is long enough.
+    /// The smallest buffer at rest that fits.
     fn fitting(&mut self, len: usize) -> Option<Vec<T>> {
-        let buffer = self.shelves.range_mut(len..).find_map(|(_, shelf)| shelf.pop())?;
-        self.resting -= buffer.capacity();
-        Some(buffer)
-    }
-
-    /// The longest buffer at rest, which a new one of `len` elements replaces; none when it is much shorter.
-    fn replaced(&mut self, len: usize) -> Option<Vec<T>> {
-        let buffer = self.shelves.range_mut(len / REPLACED_SHARE..len).rev().find_map(|(_, shelf)| shelf.pop())?;
+        let buffer = self.shelves.range_mut(len..=LONGEST * len).find_map(|(_, shelf)| shelf.pop())?;
         self.resting -= buffer.capacity();
         Some(buffer)
     }
@@ -69,17 +62,16 @@ impl<T: Scalar> Pool<T> {
             return vec![T::ZERO; len];
         }
         let mut store = self.store();
-        if let Some(mut buffer) = store.fitting(len) {
-            store.lend(buffer.capacity());
-            drop(store);
-            buffer.resize(len, T::ZERO);
-            return buffer;
-        }
-        let replaced = store.replaced(len);
-        store.lend(len);
+        let found = store.fitting(len);
+        store.lend(found.as_ref().map_or(len, Vec::capacity));
         drop(store);
-        drop(replaced);
-        vec![T::ZERO; len]
+        match found {
+            Some(mut buffer) => {
+                buffer.resize(len, T::ZERO);
+                buffer
+            }
+            None => vec![T::ZERO; len],
+        }
     }
 
     /// A buffer of `len` zeros.
@@ -140,30 +132,20 @@ mod tests {
     }
 
     #[test]
-    fn a_request_gets_the_smallest_buffer_that_is_long_enough() {
+    fn a_request_gets_the_smallest_buffer_that_fits() {
         let pool = Pool::<f32>::new();
-        let given = [1000, 1100, 1600].map(|len| pool.take(len));
+        let given = [1000, 1100, 2200].map(|len| pool.take(len));
         let addresses = given.each_ref().map(|buffer| buffer.as_ptr());
         given.into_iter().for_each(|buffer| pool.give(buffer));
-        let taken = [1050, 900, 300].map(|len| pool.take(len));
-        assert_eq!(taken.each_ref().map(Vec::len), [1050, 900, 300]);
-        assert_eq!(taken.each_ref().map(|buffer| buffer.as_ptr()), [1, 0, 2].map(|k| addresses[k]));
+        let taken = [1050, 500, 1000].map(|len| pool.take(len));
+        assert_eq!(taken.each_ref().map(Vec::len), [1050, 500, 1000]);
+        assert_eq!([taken[0].as_ptr(), taken[1].as_ptr()], [addresses[1], addresses[0]]);
+        assert!(!addresses.contains(&taken[2].as_ptr()), "2200 elements are too many for 1000");
+        assert_eq!(pool.elements(), 2200);
         // Back on its shelf by what it can hold, and of any such length again.
         taken.into_iter().for_each(|buffer| pool.give(buffer));
-        let longest = pool.take(1600);
-        assert_eq!((longest.as_ptr(), longest.len()), (addresses[2], 1600));
-    }
-
-    #[test]
-    fn a_buffer_that_is_too_short_gives_way_to_a_longer_one() {
-        let pool = Pool::<f32>::new();
-        [300, 1000, 1100].map(|len| pool.take(len)).into_iter().for_each(|buffer| pool.give(buffer));
-        let longer = pool.take(4000);
-        assert_eq!(pool.elements(), 1300, "1100 elements gave way");
-        assert_eq!(pool.peak_bytes(), 4 * 5300);
-        pool.give(longer);
-        drop(pool.take(20_000));
-        assert_eq!(pool.elements(), 5300, "4000 are much shorter");
+        let longest = pool.take(1100);
+        assert_eq!((longest.as_ptr(), longest.len()), (addresses[1], 1100));
     }
 
     #[test]

@@ -47,6 +47,15 @@ impl<T: Scalar> Tensor<T> {
         Self::build(shape, data, Some(pool.clone()))
     }
 
+    /// A tensor that `write` fills, whatever it finds there, in a buffer of this tensor's pool; from the heap where it has none.
+    #[track_caller]
+    pub fn beside(&self, shape: Shape, write: impl FnOnce(&mut [T])) -> Self {
+        let pool = self.buffer.pool.as_ref();
+        let mut data = pool.map_or_else(|| vec![T::ZERO; shape.len()], |pool| pool.take(shape.len()));
+        write(&mut data);
+        Self::build(shape, data, pool.cloned())
+    }
+
     #[track_caller]
     fn build(shape: Shape, data: Vec<T>, pool: Option<Arc<Pool<T>>>) -> Self {
         assert!(!shape.is_empty(), "tensor: every size must be at least 1, got shape {shape}");
@@ -182,6 +191,20 @@ mod tests {
         assert_eq!(first.data(), [0.0, 1.0, 2.0, 3.0]);
         assert_eq!(second.data(), [9.0, 1.0, 2.0, 3.0]);
         assert_eq!(first.plane(0, 1), [2.0, 3.0]);
+    }
+
+    #[test]
+    fn a_tensor_beside_another_has_a_buffer_of_its_pool() {
+        let pool = Pool::<f64>::new();
+        let shape = Shape::new(1, 1, 30, 10);
+        let first = Tensor::pooled(shape, pool.take(300), &pool);
+        let second = first.beside(shape, |data| data.fill(2.0));
+        drop(first);
+        assert_eq!((pool.elements(), second.at(0, 0, 29, 9)), (300, 2.0));
+        drop(second);
+        assert_eq!(pool.elements(), 600);
+        let heap = Tensor::<f64>::zeros(shape);
+        assert_eq!(heap.beside(Shape::SCALAR, |data| data[0] = 3.0).item(), 3.0);
     }
 
     #[test]

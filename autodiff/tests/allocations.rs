@@ -136,7 +136,12 @@ fn a_step_in_steady_state_allocates_little_and_nothing_large() {
     let alone = taken(1, 6);
     println!("each step on one thread: {alone:?}");
     for (k, &step) in alone.iter().enumerate().skip(2) {
-        assert!(is_little(step, alone[0]), "step {k} on one thread: {step:?}, the first {:?}; the last large at\n{}", alone[0]);
+        assert!(
+            is_little(step, alone[0]),
+            "step {k} on one thread: {step:?}, the first {:?}; the last large at\n{}",
+            alone[0],
+            last_large()
+        );
     }
 
     // Whether two pieces of work need their scratch at one time is up to the threads, so the pool may grow in any step.

@@ -134,31 +134,39 @@ fn pseudo_depth(samples: &[Sample], pool: &Arc<Pool<f32>>) -> Option<Tensor<f32>
     Some(Tensor::pooled(shape, joined, pool))
 }
 
-/// Tensors joined along the samples.
+/// Tensors joined along the samples, in a buffer of the first one's pool.
 ///
 /// # Panics
 /// When there is none or shapes differ beyond the first axis.
 pub fn join(parts: &[&Tensor<f32>]) -> Tensor<f32> {
-    join_in(&Pool::new(), parts)
+    parts[0].beside(joined_shape(parts), |joined| fill(joined, parts))
 }
 
-/// The same in a buffer of a pool.
+/// The same in a buffer of a given pool.
 ///
 /// # Panics
 /// As [`join`].
 pub fn join_in(pool: &Arc<Pool<f32>>, parts: &[&Tensor<f32>]) -> Tensor<f32> {
-    let mut shape = parts[0].shape();
-    let sample = shape.len() / shape.n();
-    shape.0[0] = parts.iter().map(|p| p.shape().n()).sum();
-    assert!(parts.iter().all(|p| p.shape().0[1..] == shape.0[1..]), "join: shapes differ beyond the first axis");
+    let shape = joined_shape(parts);
     let mut joined = pool.take(shape.len());
-    let mut rest = &mut joined[..];
+    fill(&mut joined, parts);
+    Tensor::pooled(shape, joined, pool)
+}
+
+fn joined_shape(parts: &[&Tensor<f32>]) -> Shape {
+    let mut shape = parts[0].shape();
+    assert!(parts.iter().all(|p| p.shape().0[1..] == shape.0[1..]), "join: shapes differ beyond the first axis");
+    shape.0[0] = parts.iter().map(|p| p.shape().n()).sum();
+    shape
+}
+
+fn fill(joined: &mut [f32], parts: &[&Tensor<f32>]) {
+    let mut rest = joined;
     for part in parts {
-        let (place, behind) = rest.split_at_mut(part.shape().n() * sample);
+        let (place, behind) = rest.split_at_mut(part.shape().len());
         place.copy_from_slice(part.data());
         rest = behind;
     }
-    Tensor::pooled(shape, joined, pool)
 }
 
 /// The first `count` samples.

@@ -4,9 +4,10 @@ use dimode_autodiff::Tensor;
 
 /// Maps or images `[n, c, h, w]`, each row turned around.
 pub fn mirrored(x: &Tensor<f32>) -> Tensor<f32> {
-    let mut data = x.data().to_vec();
-    data.chunks_exact_mut(x.shape().w()).for_each(<[f32]>::reverse);
-    Tensor::from_vec(x.shape(), data)
+    x.beside(x.shape(), |data| {
+        data.copy_from_slice(x.data());
+        data.chunks_exact_mut(x.shape().w()).for_each(<[f32]>::reverse);
+    })
 }
 
 /// Flow `[n, 2, h, w]` in pixels of the mirrored images: rows turned around, horizontal displacement negated.
@@ -16,11 +17,17 @@ pub fn mirrored(x: &Tensor<f32>) -> Tensor<f32> {
 pub fn mirrored_flow(flow: &Tensor<f32>) -> Tensor<f32> {
     let shape = flow.shape();
     assert!(shape.c() == 2, "mirrored_flow: two channels, got {shape}");
-    let mut data = mirrored(flow).data().to_vec();
-    for sample in data.chunks_exact_mut(2 * shape.plane()) {
-        sample[..shape.plane()].iter_mut().for_each(|u| *u = -*u);
-    }
-    Tensor::from_vec(shape, data)
+    flow.beside(shape, |data| {
+        data.copy_from_slice(flow.data());
+        data.chunks_exact_mut(2 * shape.plane()).for_each(|sample| mirror_flow(sample, shape.w()));
+    })
+}
+
+/// The flow of one sample in place, both planes.
+pub(crate) fn mirror_flow(sample: &mut [f32], width: usize) {
+    sample.chunks_exact_mut(width).for_each(<[f32]>::reverse);
+    let plane = sample.len() / 2;
+    sample[..plane].iter_mut().for_each(|u| *u = -*u);
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use dimode_autodiff::{Pool, Shape, Tape, Tensor, par};
 use dimode_nets::{Binder, FlowOptions, ParamSet};
 
 use crate::batch::{Batch, Images, join, join_in};
-use crate::mirror::{mirrored, mirrored_flow};
+use crate::mirror::{mirror_flow, mirrored};
 use crate::model::Model;
 
 /// Bytes of flow that are kept.
@@ -103,21 +103,24 @@ fn snippet_flow(
 
 /// Maps `first` and `first + 1` of every snippet as those of the batch: mirrored where it is, those of the previous frames first.
 fn in_batch_order(batch: &Batch, flows: &[Arc<Tensor<f32>>], first: usize) -> Tensor<f32> {
-    let mut shape = flows[0].shape();
-    shape.0[0] = 1;
-    let map = |i: usize, k: usize| {
-        let map = Tensor::from_vec(shape, flows[i].data()[k * shape.len()..][..shape.len()].to_vec());
-        if batch.flipped[i] { mirrored_flow(&map) } else { map }
-    };
-    let maps: Vec<_> = [first, first + 1].into_iter().flat_map(|k| (0..flows.len()).map(move |i| (i, k))).collect();
-    let maps: Vec<_> = maps.into_iter().map(|(i, k)| map(i, k)).collect();
-    join(&maps.iter().collect::<Vec<_>>())
+    let map = flows[0].shape();
+    let (size, shape) = (map.len() / map.n(), Shape::new(2 * flows.len(), map.c(), map.h(), map.w()));
+    flows[0].beside(shape, |out| {
+        let maps = [first, first + 1].into_iter().flat_map(|k| (0..flows.len()).map(move |i| (i, k)));
+        for ((i, k), place) in maps.zip(out.chunks_exact_mut(size)) {
+            place.copy_from_slice(&flows[i].data()[k * size..][..size]);
+            if batch.flipped[i] {
+                mirror_flow(place, map.w());
+            }
+        }
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::config::Config;
+    use crate::mirror::mirrored_flow;
     use crate::run::training_frames;
     use crate::teacher::Teacher;
 

@@ -11,25 +11,25 @@ pub(super) fn like(map: Shape) -> Shape {
     Shape::new(map.n(), 1, map.h(), map.w())
 }
 
-/// Mask of the pixels for which `keep(sample)(flat pixel index)` holds; samples in parallel.
-fn from_fn<T: Scalar, K: Fn(usize) -> bool>(map: Shape, keep: impl Fn(usize) -> K + Sync + Send) -> Tensor<T> {
+/// Mask, of the size of `map`, of the pixels for which `keep(sample)(flat pixel index)` holds; samples in parallel.
+fn from_fn<T: Scalar, K: Fn(usize) -> bool>(map: &Tensor<T>, keep: impl Fn(usize) -> K + Sync + Send) -> Tensor<T> {
     weights_from_fn(map, |n| {
         let keep = keep(n);
         move |i| if keep(i) { T::ONE } else { T::ZERO }
     })
 }
 
-/// Weights `weight(sample)(flat pixel index)`; samples in parallel.
-fn weights_from_fn<T: Scalar, W: Fn(usize) -> T>(map: Shape, weight: impl Fn(usize) -> W + Sync + Send) -> Tensor<T> {
-    let plane = map.plane();
-    let mut data = vec![T::ZERO; map.n() * plane];
-    par::for_each_chunk(&mut data, plane.max(1), |n, chunk| {
-        let weight = weight(n);
-        for (i, out) in chunk.iter_mut().enumerate() {
-            *out = weight(i);
-        }
-    });
-    Tensor::from_vec(like(map), data)
+/// Weights `weight(sample)(flat pixel index)` beside `map` and of its size; samples in parallel.
+fn weights_from_fn<T: Scalar, W: Fn(usize) -> T>(map: &Tensor<T>, weight: impl Fn(usize) -> W + Sync + Send) -> Tensor<T> {
+    let shape = like(map.shape());
+    map.beside(shape, |data| {
+        par::for_each_chunk(data, shape.plane(), |n, chunk| {
+            let weight = weight(n);
+            for (i, out) in chunk.iter_mut().enumerate() {
+                *out = weight(i);
+            }
+        });
+    })
 }
 
 /// All pixels.
@@ -45,7 +45,7 @@ pub fn everywhere<T: Scalar>(map: Shape) -> Tensor<T> {
 pub fn in_view<T: Scalar>(flow: &Tensor<T>) -> Tensor<T> {
     let s = flow.shape();
     let (right, bottom) = (T::from_usize(s.w() - 1), T::from_usize(s.h() - 1));
-    from_fn(s, |n| {
+    from_fn(flow, |n| {
         let (flow_u, flow_v) = (flow.plane(n, 0), flow.plane(n, 1));
         move |i| {
             let u = T::from_usize(i % s.w()) + flow_u[i];
@@ -59,7 +59,7 @@ pub fn in_view<T: Scalar>(flow: &Tensor<T>) -> Tensor<T> {
 #[must_use]
 pub fn above<T: Scalar>(map: &Tensor<T>, channel: usize, threshold: f64) -> Tensor<T> {
     let threshold = T::from_f64(threshold);
-    from_fn(map.shape(), |n| {
+    from_fn(map, |n| {
         let map = map.plane(n, channel);
         move |i| map[i] > threshold
     })
@@ -68,7 +68,7 @@ pub fn above<T: Scalar>(map: &Tensor<T>, channel: usize, threshold: f64) -> Tens
 /// Pixels of a one-channel map that are `least` or more (NaN is not).
 #[must_use]
 pub fn at_least<T: Scalar>(map: &Tensor<T>, least: f64) -> Tensor<T> {
-    from_fn(map.shape(), |n| {
+    from_fn(map, |n| {
         let map = map.plane(n, 0);
         move |i| map[i].to_f64() >= least
     })
@@ -107,22 +107,20 @@ fn below_mean<T: Scalar>(
 ) -> Tensor<T> {
     let s = rigid.shape();
     assert!(like(s) == like(optical.shape()), "static pixels: {s} and {} differ", optical.shape());
-    let masks = par::map_indices(s.n(), |n| {
+    let measure = &measure;
+    from_fn(rigid, |n| {
         let (ru, rv) = (rigid.plane(n, 0), rigid.plane(n, 1));
         let (ou, ov) = (optical.plane(n, 0), optical.plane(n, 1));
         let inside = within.map(|m| m.plane(n, 0));
         let square = |x: T, y: T| x.to_f64() * x.to_f64() + y.to_f64() * y.to_f64();
-        let measured: Vec<Option<f64>> = (0..s.plane())
-            .map(|i| {
-                let counts = inside.is_none_or(|m| m[i] != T::ZERO);
-                counts.then(|| measure(square(ru[i] - ou[i], rv[i] - ov[i]), square(ou[i], ov[i])))
-            })
-            .collect();
-        let (sum, count) = measured.iter().flatten().fold((0.0, 0), |(s, c), d| (s + d, c + 1));
+        let measured = move |i: usize| {
+            let counts = inside.is_none_or(|m| m[i] != T::ZERO);
+            counts.then(|| measure(square(ru[i] - ou[i], rv[i] - ov[i]), square(ou[i], ov[i])))
+        };
+        let (sum, count) = (0..s.plane()).filter_map(measured).fold((0.0, 0), |(s, c), d| (s + d, c + 1));
         let limit = factor * sum / f64::from(count.max(1));
-        measured.into_iter().map(|d| if d.is_some_and(|d| d < limit) { T::ONE } else { T::ZERO }).collect::<Vec<T>>()
-    });
-    Tensor::from_vec(like(s), masks.concat())
+        move |i| measured(i).is_some_and(|d| d < limit)
+    })
 }
 
 /// Backward flow read where the forward flow ends (bilinear, 0 outside), (N,2,H,W).
@@ -141,7 +139,7 @@ pub fn backward_at_forward<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>)
 #[track_caller]
 pub fn not_occluded<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Tensor<T> {
     let ForwardBackward { deviation, allowed } = forward_backward(forward, backward);
-    from_fn(forward.shape(), |n| {
+    from_fn(forward, |n| {
         let (deviation, allowed) = (deviation.plane(n, 0), allowed.plane(n, 0));
         move |i| deviation[i] <= allowed[i]
     })
@@ -158,7 +156,7 @@ pub fn not_occluded<T: Scalar>(forward: &Tensor<T>, backward: &Tensor<T>) -> Ten
 pub fn agreeing<T: Scalar>(rigid: &Tensor<T>, optical: &Tensor<T>, pixels: f64) -> Tensor<T> {
     let s = rigid.shape();
     let squares = grid_distance(rigid, optical, [1.0, 1.0]);
-    from_fn(s, |n| {
+    from_fn(rigid, |n| {
         let squares = &squares[n * s.plane()..][..s.plane()];
         move |i| squares[i] < pixels * pixels
     })
@@ -176,7 +174,7 @@ pub fn agreeing<T: Scalar>(rigid: &Tensor<T>, optical: &Tensor<T>, pixels: f64) 
 pub fn static_on_grid<T: Scalar>(ego: &Tensor<T>, complete: &Tensor<T>) -> Tensor<T> {
     let squares = squared_grid_distance(ego, complete);
     let mean = squares.data().iter().map(|d| d.to_f64()).sum::<f64>() / squares.shape().len() as f64;
-    from_fn(squares.shape(), |n| {
+    from_fn(&squares, |n| {
         let squares = squares.plane(n, 0);
         move |i| squares[i].to_f64() < mean
     })
@@ -213,9 +211,9 @@ fn grid_distance<T: Scalar>(a: &Tensor<T>, b: &Tensor<T>, units: [f64; 2]) -> Ve
 #[must_use]
 #[track_caller]
 pub fn all_of<T: Scalar>(masks: &[&Tensor<T>]) -> Tensor<T> {
-    let shape = masks.first().expect("all_of: no mask given").shape();
-    assert!(masks.iter().all(|m| m.shape() == shape), "all_of: masks of different shapes");
-    weights_from_fn(shape, |n| {
+    let first = masks.first().expect("all_of: no mask given");
+    assert!(masks.iter().all(|m| m.shape() == first.shape()), "all_of: masks of different shapes");
+    weights_from_fn(first, |n| {
         let planes: Vec<&[T]> = masks.iter().map(|m| m.plane(n, 0)).collect();
         move |i| planes.iter().fold(T::ONE, |product, plane| product * plane[i])
     })
@@ -223,7 +221,7 @@ pub fn all_of<T: Scalar>(masks: &[&Tensor<T>]) -> Tensor<T> {
 
 /// Pixels of a mask that also satisfy `keep(sample)(flat pixel index)`, with the weights that they have.
 pub(crate) fn and_where<T: Scalar, K: Fn(usize) -> bool>(mask: &Tensor<T>, keep: impl Fn(usize) -> K + Sync + Send) -> Tensor<T> {
-    weights_from_fn(mask.shape(), |n| {
+    weights_from_fn(mask, |n| {
         let (mask, keep) = (mask.plane(n, 0), keep(n));
         move |i| if mask[i] != T::ZERO && keep(i) { mask[i] } else { T::ZERO }
     })

@@ -1,7 +1,7 @@
 //! Images read along a flow.
 
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
-use dimode_autodiff::{Scalar, Var, pixel_grid};
+use dimode_autodiff::{Scalar, Var};
 
 /// The image as it would look from where the flow starts: `warped(p) = image(p + flow(p))`, bilinear.
 ///
@@ -14,8 +14,8 @@ use dimode_autodiff::{Scalar, Var, pixel_grid};
 #[must_use]
 #[track_caller]
 pub fn warp<'t, T: Scalar>(image: Var<'t, T>, flow: Var<'t, T>, padding: SamplePadding) -> Var<'t, T> {
-    let grid = flow.tape().constant(pixel_grid(flow.shape()));
-    image.bilinear_sample(flow.add(grid), padding)
+    let ends = flow.tape().pixel_grid(flow.shape()).last_use(|grid| flow.add(grid));
+    ends.last_use(|ends| image.bilinear_sample(ends, padding))
 }
 
 #[cfg(test)]

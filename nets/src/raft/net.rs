@@ -1,6 +1,6 @@
 //! The flow network: encoders, correlation pyramid, refinement, upsampling.
 
-use dimode_autodiff::{Scalar, Shape, Tape, Tensor, Var, pixel_grid};
+use dimode_autodiff::{Scalar, Shape, Tape, Tensor, Var};
 
 use super::FlowNetConfig;
 use super::encoder::Encoder;
@@ -136,12 +136,12 @@ impl FlowNet {
         let mut hidden = context.slice(1, 0, h).tanh();
         let gru = self.update.prepare(binder, context.slice(1, h, c).relu());
 
-        let grid = binder.tape().constant(pixel_grid(hidden.shape()));
+        let grid = binder.tape().pixel_grid(hidden.shape());
         let mut flow = binder.tape().constant(Tensor::zeros(grid.shape()));
         let (mut flows, mut deltas, mut first_lookup) = (Vec::new(), Vec::new(), None);
         for iteration in 0..iterations {
             flow = flow.detach();
-            let lookup = Var::correlation_lookup(&pyramid, grid.add(flow), self.config.radius);
+            let lookup = grid.add(flow).last_use(|ends| Var::correlation_lookup(&pyramid, ends, self.config.radius));
             first_lookup.get_or_insert(lookup);
             let (state, delta) = self.update.step(binder, &gru, hidden, lookup, flow);
             hidden = state;
