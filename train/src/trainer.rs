@@ -69,6 +69,17 @@ impl Trainer {
         rate: f64,
         probe: bool,
     ) -> Result<StepReport, NonFinite> {
+        par::awake(|| self.step_awake(batch, observed, stage, (step, rate, probe)))
+    }
+
+    /// [`Trainer::step`] on threads that stay awake.
+    fn step_awake(
+        &mut self,
+        batch: &Batch,
+        observed: Option<&BatchFlow>,
+        stage: &StageConfig,
+        (step, rate, probe): (u64, f64, bool),
+    ) -> Result<StepReport, NonFinite> {
         let shared = &*self;
         let (scene, flow) = par::join(
             || shared.scene_gradients(batch, stage, observed, step, probe),

@@ -86,11 +86,11 @@ impl<T: Scalar> WithSimd for Squares<'_, T> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> f64 {
         let mut lanes = [0.0; 32];
-        let groups = self.0.chunks_exact(lanes.len());
-        let rest = groups.remainder();
+        let (groups, rest) = self.0.as_chunks::<32>();
         for group in groups {
-            for (lane, x) in lanes.iter_mut().zip(group) {
-                *lane += x.to_f64() * x.to_f64();
+            for l in 0..lanes.len() {
+                let x = group[l].to_f64();
+                lanes[l] += x * x;
             }
         }
         for (lane, x) in lanes.iter_mut().zip(rest) {

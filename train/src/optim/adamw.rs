@@ -290,10 +290,11 @@ mod tests {
         for threads in 2..5 {
             assert_eq!(after(threads), found);
         }
-        for i in 0..shape.len() {
-            let [m, v, w] = one(&settings, 1, [0.0, 0.0, start.data()[i], gradients[0].data()[i]], 0.01);
-            let want = one(&settings, 2, [m, v, w, gradients[1].data()[i]], 0.01);
-            assert_eq!([found[0][i], found[1][i], found[2][i]].map(f32::to_bits), want.map(f32::to_bits), "entry {i}");
+        let [first, second, weights] = &found;
+        for (i, ((m, v), w)) in first.iter().zip(second).zip(weights).enumerate() {
+            let [m1, v1, w1] = one(&settings, 1, [0.0, 0.0, start.data()[i], gradients[0].data()[i]], 0.01);
+            let want = one(&settings, 2, [m1, v1, w1, gradients[1].data()[i]], 0.01);
+            assert_eq!([*m, *v, *w].map(f32::to_bits), want.map(f32::to_bits), "entry {i}");
         }
     }
 
