@@ -88,7 +88,13 @@ const ALL: [Activation; 3] = [Activation::Identity, Activation::Relu, Activation
 
 /// Inputs are drawn until every output is far from the kink of a ReLU.
 fn cases(draw: &mut Draw, batch: bool) -> Vec<Case> {
-    let shapes = [Shape::new(2, 3, 3, 5), Shape::new(1, 2, 4, 7), Shape::new(3, 1, 2, 2), Shape::new(1, 1, 7, 9)];
+    let shapes = [
+        Shape::new(2, 3, 11, 31),
+        Shape::new(2, 3, 3, 5),
+        Shape::new(1, 2, 4, 7),
+        Shape::new(3, 1, 2, 2),
+        Shape::new(1, 1, 7, 9),
+    ];
     let mut cases = Vec::new();
     for (shape, activation, with_skip) in
         shapes.into_iter().flat_map(|shape| ALL.into_iter().flat_map(move |a| [(shape, a, false), (shape, a, true)]))
@@ -104,7 +110,7 @@ fn cases(draw: &mut Draw, batch: bool) -> Vec<Case> {
             let tape = crate::Tape::new();
             let vars: Vec<_> = inputs.iter().map(|x| tape.constant(x.clone())).collect();
             let linear = Activated { activation: Activation::Identity, ..twin }.tape(&vars).value();
-            if activation != Activation::Relu || linear.data().iter().all(|y| y.abs() > 1e-3) {
+            if activation != Activation::Relu || linear.data().iter().all(|y| y.abs() > 1e-5) {
                 let case = Case::new(twin, inputs);
                 break if batch { case } else { case.constant(3).constant(4) };
             }

@@ -5,7 +5,7 @@
 
 use super::conv2d::record;
 use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
-use crate::{Activation, Conv2d, Scalar, Shape, Var};
+use crate::{Activation, Conv2d, PadMode, Scalar, Shape, Tape, Var};
 
 impl<'t, T: Scalar> Var<'t, T> {
     /// Convolution as [`Var::conv2d`], then the activation of every entry.
@@ -28,7 +28,7 @@ impl<'t, T: Scalar> Var<'t, T> {
 #[derive(Clone, Copy, Debug)]
 struct Activated(Activation);
 
-const CONV: Conv2d = Conv2d { stride: (1, 2), padding: (1, 0), dilation: (1, 1), groups: 1, pad_mode: crate::PadMode::Zero };
+const CONV: Conv2d = Conv2d { stride: (1, 2), padding: (1, 0), dilation: (1, 1), groups: 1, pad_mode: PadMode::Zero };
 
 impl Twin for Activated {
     fn tape<'t, T: Scalar>(&self, v: &[Var<'t, T>]) -> Var<'t, T> {
@@ -57,24 +57,24 @@ impl Twin for Activated {
 pub(crate) fn proof() -> Proof {
     let mut draw = Draw::new("conv2d_activated");
     let mut cases = Vec::new();
-    for (k, activation) in [Activation::Identity, Activation::Relu, Activation::Elu].into_iter().enumerate() {
-        for bias in [true, false] {
-            // Drawn again until no output is near the kink of a ReLU.
-            let inputs = loop {
-                let mut inputs =
-                    vec![draw.uniform(Shape::new(2, 3, 4, 7), -1.0, 1.0), draw.uniform(Shape::new(2, 3, 2, 3), -1.0, 1.0)];
-                inputs.extend(bias.then(|| draw.uniform(Shape::new(1, 2, 1, 1), -1.0, 1.0)));
-                let tape = crate::Tape::new();
-                let vars: Vec<_> = inputs.iter().map(|x| tape.constant(x.clone())).collect();
-                let linear = Activated(Activation::Identity).tape(&vars).value();
-                if linear.data().iter().all(|y| y.abs() > 1e-3) {
-                    break inputs;
-                }
-            };
-            let case = Case::new(Activated(activation), inputs.clone());
-            cases.push(case);
-            cases.push(Case::new(Activated(activation), inputs).constant(k % 2));
+    // Inputs are drawn again until no output is near the kink of a ReLU.
+    let mut inputs = |x: Shape, outputs: usize, bias: bool| loop {
+        let weight = Shape::new(outputs, x.c(), 2, 3);
+        let mut inputs = vec![draw.uniform(x, -1.0, 1.0), draw.uniform(weight, -1.0, 1.0)];
+        inputs.extend(bias.then(|| draw.uniform(Shape::new(1, outputs, 1, 1), -1.0, 1.0)));
+        let tape = Tape::new();
+        let vars: Vec<_> = inputs.iter().map(|x| tape.constant(x.clone())).collect();
+        let linear = Activated(Activation::Identity).tape(&vars).value();
+        if linear.data().iter().all(|y| y.abs() > 1e-5) {
+            break inputs;
         }
+    };
+    for (k, activation) in [Activation::Identity, Activation::Relu, Activation::Elu].into_iter().enumerate() {
+        let twin = Activated(activation);
+        cases.push(Case::new(twin, inputs(Shape::new(2, 2, 3, 5), 2, true)));
+        cases.push(Case::new(twin, inputs(Shape::new(1, 2, 3, 5), 3, false)));
+        cases.push(Case::new(twin, inputs(Shape::new(2, 2, 3, 5), 2, true)).constant(k));
+        cases.push(Case::new(twin, inputs(Shape::new(2, 3, 11, 31), 2, true)));
     }
     Proof::new("conv2d_activated", cases)
 }

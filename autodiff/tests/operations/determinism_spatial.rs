@@ -3,7 +3,7 @@
 use dimode_autodiff::gradcheck::{random, weighted_sum};
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::ops::drop_path::keep_mask;
-use dimode_autodiff::{Conv2d, MatMul, Scalar, Shape, Tape, Tensor, Var, par};
+use dimode_autodiff::{Activation, Conv2d, MatMul, Scalar, Shape, Tape, Tensor, Var, par};
 
 /// Bits of the output and of the gradients of all inputs, computed on the given number of threads.
 fn bits<T: Scalar>(
@@ -54,6 +54,14 @@ fn normalisation() {
         let mean = random(3, Shape(VECTOR), -1.0, 1.0);
         let var = random(4, Shape(VECTOR), 0.5, 2.0);
         v[0].batch_norm_eval(v[1], v[2], &mean, &var, 1e-5)
+    });
+    assert_same_bits!(&[X, VECTOR, VECTOR, X], |v| {
+        v[0].batch_norm_train_activated(v[1], v[2], 1e-5, Some(v[3]), Activation::Elu).y
+    });
+    assert_same_bits!(&[X, VECTOR, VECTOR, X], |v| {
+        let mean = random(3, Shape(VECTOR), -1.0, 1.0);
+        let var = random(4, Shape(VECTOR), 0.5, 2.0);
+        v[0].batch_norm_eval_activated(v[1], v[2], [&mean, &var], 1e-5, Some(v[3]), Activation::Relu)
     });
     assert_same_bits!(&[X, VECTOR, VECTOR], |v| v[0].layer_norm(v[1], v[2], 1e-6));
 }
@@ -108,6 +116,9 @@ fn convolutions() {
     conv!([3, 40, 33, 50], [24, 40, 1, 1], Conv2d::new(2, 0));
     conv!([3, 12, 33, 50], [24, 4, 3, 3], Conv2d { groups: 3, ..Conv2d::new(1, 1) });
     conv!([3, 24, 33, 50], [24, 1, 3, 3], Conv2d { groups: 24, dilation: (3, 3), ..Conv2d::new(1, 3) });
+    assert_same_bits!(&[[3, 16, 33, 50], [24, 16, 3, 3], [1, 24, 1, 1]], |v| {
+        v[0].conv2d_activated(v[1], Some(v[2]), Conv2d::new(2, 1), Activation::Elu)
+    });
 }
 
 #[test]

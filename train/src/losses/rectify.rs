@@ -324,7 +324,8 @@ mod tests {
         let mut params = net.init::<f32>(1);
         let (optimiser, mut state) = (AdamW::default(), State::default());
         let before = error_of_third_pass(&net, &params, &reference, &cameras);
-        for step in 0..80 {
+        // After 80 steps six seeds were at 0.3 to 0.99 of the error, after 320 all were at 0.23 to 0.47, this one at 0.25.
+        for step in 0..320 {
             let tape = Tape::new();
             let mut binder = Binder::new(&tape, &params, Mode::Train);
             let [target, reference] = [&target, &reference].map(|image| tape.constant(image.clone()));

@@ -56,7 +56,7 @@ pub fn algorithm(l: &Layout) -> Algorithm {
 fn pays_winograd(l: &Layout) -> bool {
     // With fewer channels, tiles cost more than they save.
     let channels = l.cin.min(l.cout) >= 16 && l.cin * l.cout >= 512;
-    // With fewer tiles, the weights do.
-    let tiles = l.output.n() * l.output.h().div_ceil(2) * l.output.w().div_ceil(2);
-    l.is_winograd() && channels && tiles >= 64
+    // With fewer tiles, the weights do. Those of one image are counted: its bits do not depend on the others beside it.
+    let tiles = l.output.h().div_ceil(2) * l.output.w().div_ceil(2);
+    l.is_winograd() && channels && tiles >= 40
 }
