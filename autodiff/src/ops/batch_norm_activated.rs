@@ -86,6 +86,9 @@ impl Twin for Activated {
 
 const ALL: [Activation; 3] = [Activation::Identity, Activation::Relu, Activation::Elu];
 
+/// The sum with the skip cancels: of 2,000 sums in `f32` the worst is 1.3 times as far off as what a normalisation alone may be.
+const SINGLE_BOUND: f64 = 2e-5;
+
 /// Inputs are drawn until every output is far from the kink of a ReLU.
 fn cases(draw: &mut Draw, batch: bool) -> Vec<Case> {
     let shapes = [
@@ -123,13 +126,13 @@ fn cases(draw: &mut Draw, batch: bool) -> Vec<Case> {
 pub(crate) fn proof() -> Proof {
     let mut draw = Draw::new("batch_norm_train_activated");
     let cases = cases(&mut draw, true);
-    Proof::new("batch_norm_train_activated", cases)
+    Proof::new("batch_norm_train_activated", cases).single_bound(SINGLE_BOUND)
 }
 
 pub(crate) fn eval_proof() -> Proof {
     let mut draw = Draw::new("batch_norm_eval_activated");
     let cases = cases(&mut draw, false);
-    Proof::new("batch_norm_eval_activated", cases)
+    Proof::new("batch_norm_eval_activated", cases).single_bound(SINGLE_BOUND)
 }
 
 #[cfg(test)]
