@@ -30,7 +30,7 @@ impl<T: Scalar> Tape<T> {
     pub fn checkpoint<'t>(
         &'t self,
         inputs: &[Var<'t, T>],
-        segment: impl for<'s> Fn(&'s Tape<T>, &[Var<'s, T>]) -> Var<'s, T> + 'static,
+        segment: impl for<'s> Fn(&'s Tape<T>, &[Var<'s, T>]) -> Var<'s, T> + Send + 'static,
     ) -> Var<'t, T> {
         // A variable that comes twice is one leaf, so that its gradient is summed in the order of the uses.
         let (parents, places) = distinct(inputs);

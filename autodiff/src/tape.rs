@@ -2,8 +2,7 @@
 
 mod var;
 
-use std::cell::RefCell;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use crate::grad_sink::{GradSink, GradSlot};
 use crate::gradients::{Gradients, Place};
@@ -13,7 +12,7 @@ use crate::{Pool, Scalar, Shape, Tensor};
 pub use var::Var;
 
 /// What an operation does in the backward pass: given the gradient of its output, add to the gradients of its parents.
-type Backward<T> = Box<dyn Fn(&Tensor<T>, &mut GradSink<'_, T>)>;
+type Backward<T> = Box<dyn Fn(&Tensor<T>, &mut GradSink<'_, T>) + Send>;
 
 struct Node<T: Scalar> {
     op: &'static str,
@@ -25,17 +24,21 @@ struct Node<T: Scalar> {
     keeps_grad: bool,
 }
 
+/// Why a lock of the tape is always there.
+const UNBROKEN: &str = "a tape is not used again after a panic";
+
 /// A record of operations on variables.
 ///
 /// Nodes are appended in the order of computation, so the backward pass is a loop from the end: no recursion, any depth.
-/// A tape lives for one step; buffers outlive it in its [`Pool`].
+/// A tape lives for one step; buffers outlive it in its [`Pool`]. Two threads may each record and differentiate on a tape of their
+/// own; on one tape together they would record in an order that depends on chance.
 pub struct Tape<T: Scalar> {
-    nodes: RefCell<Segments<Node<T>>>,
+    nodes: Mutex<Segments<Node<T>>>,
     pool: Arc<Pool<T>>,
     /// Whether a value or gradient that is not finite is refused.
     finite_only: bool,
     /// A fault in one backward rule, for the test of the gradient checks.
-    planted: RefCell<Option<Planted<T>>>,
+    planted: Mutex<Option<Planted<T>>>,
 }
 
 impl<T: Scalar> Default for Tape<T> {
@@ -52,7 +55,7 @@ impl<T: Scalar> Tape<T> {
 
     /// An empty tape that takes its buffers from `pool`.
     pub fn with_pool(pool: Arc<Pool<T>>) -> Self {
-        Tape { nodes: RefCell::new(Segments::new()), pool, finite_only: false, planted: RefCell::new(None) }
+        Tape { nodes: Mutex::new(Segments::new()), pool, finite_only: false, planted: Mutex::new(None) }
     }
 
     /// The same tape, but it panics as soon as an input, an operation's output or a gradient is NaN or infinite, and names the
@@ -78,6 +81,11 @@ impl<T: Scalar> Tape<T> {
         self.finite_only
     }
 
+    /// What is recorded. To be held for short: whoever holds it asks no variable of this tape anything.
+    fn nodes(&self) -> MutexGuard<'_, Segments<Node<T>>> {
+        self.nodes.lock().expect(UNBROKEN)
+    }
+
     /// The pool of this tape's buffers.
     pub fn pool(&self) -> &Arc<Pool<T>> {
         &self.pool
@@ -85,7 +93,7 @@ impl<T: Scalar> Tape<T> {
 
     /// Number of recorded nodes.
     pub fn len(&self) -> usize {
-        self.nodes.borrow().len()
+        self.nodes().len()
     }
 
     /// Whether nothing is recorded yet.
@@ -138,7 +146,7 @@ impl<T: Scalar> Tape<T> {
         op: &'static str,
         output: Tensor<T>,
         parents: &[Var<'t, T>],
-        backward: impl Fn(&Tensor<T>, &mut GradSink<'_, T>) + 'static,
+        backward: impl Fn(&Tensor<T>, &mut GradSink<'_, T>) + Send + 'static,
     ) -> Var<'t, T> {
         let (ids, requires_grad) = self.links(op, parents);
         let backward: Option<Backward<T>> = if requires_grad { Some(Box::new(backward)) } else { None };
@@ -164,7 +172,7 @@ impl<T: Scalar> Tape<T> {
         if self.finite_only {
             assert_finite(&value, op, if parents.is_empty() { "value" } else { "output" });
         }
-        let mut nodes = self.nodes.borrow_mut();
+        let mut nodes = self.nodes();
         let keeps_grad = requires_grad && parents.is_empty();
         nodes.push(Node { op, shape: value.shape(), value: Some(value), parents, backward, requires_grad, keeps_grad });
         Var { tape: self, id: nodes.len() - 1 }
@@ -206,12 +214,12 @@ impl<T: Scalar> Tape<T> {
 
     /// Spoils one backward rule in the sweeps to come.
     pub(crate) fn plant(&self, planted: Planted<T>) {
-        *self.planted.borrow_mut() = Some(planted);
+        *self.planted.lock().expect(UNBROKEN) = Some(planted);
     }
 
     /// The backward rules recorded so far: node, its operation, and a parent that wants a gradient.
     pub(crate) fn rules(&self) -> Vec<(usize, &'static str, usize)> {
-        let nodes = self.nodes.borrow();
+        let nodes = self.nodes();
         let wanted =
             |node: &Node<T>| (0..node.parents.len()).filter(|&k| nodes[node.parents[k]].requires_grad).collect::<Vec<_>>();
         let rules = |(id, node): (usize, &Node<T>)| wanted(node).into_iter().map(|k| (id, node.op, k)).collect::<Vec<_>>();
@@ -242,13 +250,13 @@ impl<T: Scalar> Tape<T> {
     /// Places for the gradients of all nodes.
     fn places(&self) -> Segments<Place<T>> {
         let place = |n: &Node<T>| Place { shape: n.shape, needed: n.requires_grad, kept: n.keeps_grad, grad: None };
-        self.nodes.borrow().iter().map(place).collect()
+        self.nodes().iter().map(place).collect()
     }
 
     /// Walks from node `last` to the first and lets each hand its gradient on to its parents.
     fn sweep(&self, last: usize, mut places: Segments<Place<T>>, free: bool) -> Gradients<T> {
-        let mut nodes = self.nodes.borrow_mut();
-        let planted = self.planted.borrow();
+        let mut nodes = self.nodes();
+        let planted = self.planted.lock().expect(UNBROKEN);
         for id in (0..=last).rev() {
             let node = &mut nodes[id];
             let grad = if node.keeps_grad { places[id].grad.clone() } else { places[id].grad.take() };
@@ -392,17 +400,17 @@ mod tests {
     fn values_are_freed_while_the_gradient_walks_back() {
         let tape = Tape::<f64>::new();
         let pool = tape.pool().clone();
-        let seen = std::rc::Rc::new(RefCell::new(Vec::new()));
+        let seen = Arc::new(Mutex::new(Vec::new()));
         let mut y = tape.leaf(Tensor::zeros(Shape::new(1, 1, 32, 32)));
         for _ in 0..10 {
             let (seen, pool, x) = (seen.clone(), pool.clone(), y.exp());
             y = tape.push("watch", x.value(), &[x], move |g, grads| {
-                seen.borrow_mut().push(pool.elements());
+                seen.lock().unwrap().push(pool.elements());
                 grads.slot(0).expect("x is differentiated").add_tensor(g);
             });
         }
         tape.backward_and_free(y.sum());
-        let seen = seen.borrow();
+        let seen = seen.lock().unwrap();
         assert!(seen.len() == 10 && seen[9] >= seen[0] + 8 * 1024, "elements back in the pool: {seen:?}");
     }
 

@@ -36,18 +36,37 @@ impl Model {
     /// # Panics
     /// When there is more than one look and no depth, or when a shape does not fit.
     pub fn source_from_target<'t>(&self, binder: &mut Binder<'t, f32>, pairs: &Pairs<'_>, looks: usize) -> Pose<'t, f32> {
-        let tape = binder.tape();
-        let [target, source] = [pairs.target, pairs.source].map(|x| tape.constant(x.clone()));
-        let mut pose = self.look(binder, target, source, pairs.earlier);
+        let first = self.first_look(binder, pairs);
+        self.refined(binder, pairs, first, looks)
+    }
+
+    /// What the network says of the pairs as they are. Needs no depth.
+    pub fn first_look<'t>(&self, binder: &mut Binder<'t, f32>, pairs: &Pairs<'_>) -> Pose<'t, f32> {
+        let [target, source] = [pairs.target, pairs.source].map(|x| binder.tape().constant(x.clone()));
+        let pose = self.look(binder, target, source, pairs.earlier);
+        [target, source].into_iter().for_each(Var::release);
+        pose
+    }
+
+    /// What was said at the first look, after all others of a number of `looks`.
+    ///
+    /// # Panics
+    /// When there is more than one look and no depth, or when a shape does not fit.
+    pub fn refined<'t>(
+        &self,
+        binder: &mut Binder<'t, f32>,
+        pairs: &Pairs<'_>,
+        first: Pose<'t, f32>,
+        looks: usize,
+    ) -> Pose<'t, f32> {
+        let mut pose = first;
         for _ in 1..looks {
-            let depth = tape.constant(pairs.depth.expect("a second look needs depth").clone());
+            let [target, source] = [pairs.target, pairs.source].map(|x| binder.tape().constant(x.clone()));
+            let depth = binder.tape().constant(pairs.depth.expect("a second look needs depth").clone());
             let seen = warped(source, depth, pose.detach(), pairs.cameras);
             pose = pose.compose(self.look(binder, target, seen, pairs.earlier));
-            seen.release();
-            depth.release();
+            [target, source, seen, depth].into_iter().for_each(Var::release);
         }
-        target.release();
-        source.release();
         pose
     }
 

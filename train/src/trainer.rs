@@ -1,8 +1,8 @@
 //! One training step, read from top to bottom: networks, losses, gradients, optimiser.
 //!
-//! The networks are recorded on one tape and the losses on another whose leaves are the networks' outputs. The gradients of the
-//! second tape's leaves are what the losses say about depth, rotation and translation; they are measured there, term by term,
-//! and then carried through the networks.
+//! The networks are recorded on two tapes, depth on one, what moves on the other, so that they run side by side. The losses are
+//! recorded on a third one whose leaves are the networks' outputs. The gradients of its leaves are what the losses say about
+//! depth, rotation and translation; they are measured there, term by term, and then carried through the networks.
 
 mod networks;
 
@@ -200,11 +200,11 @@ impl Trainer {
         probe: bool,
     ) -> Result<Scene, Failure> {
         let needs = objective::needs(&self.config.loss, stage);
-        let tape = Tape::with_pool(self.pool.clone());
-        let mut depth = binder(&tape, &self.weights.depth, stage.train_depth);
-        let mut pose = binder(&tape, &self.weights.pose, stage.train_pose);
-        let flow = binder(&tape, &self.weights.flow, stage.train_flow);
-        let mut rectify = binder(&tape, &self.weights.rectify, stage.train_pose);
+        let [of_depth, of_motion] = [(); 2].map(|()| Tape::with_pool(self.pool.clone()));
+        let mut depth = binder(&of_depth, &self.weights.depth, stage.train_depth);
+        let mut pose = binder(&of_motion, &self.weights.pose, stage.train_pose);
+        let flow = binder(&of_motion, &self.weights.flow, stage.train_flow);
+        let mut rectify = binder(&of_motion, &self.weights.rectify, stage.train_pose);
         let rectified = self.model.rectify.as_ref().map(|net| self.rectified(net, &mut rectify, batch, step));
         let seen = match &rectified {
             Some(rectified) => rectified.seen.clone(),
@@ -213,24 +213,24 @@ impl Trainer {
         let outputs = Outputs {
             flow: self.flow_between(&flow, batch, needs.flow, (stage, observed)),
             rectified: rectified.as_ref().map(|rectified| rectified.plain),
-            ..self.run_networks(&tape, (batch, &seen), (stage, needs), &mut depth, &mut pose)
+            ..self.run_networks((batch, &seen), (stage, needs), &mut depth, &mut pose)
         };
         let given = Given { batch, stage, step, probe };
         let (mut losses, of_outputs) = objective::measure(&self.config, self.model.range, &self.pool, &outputs, &given)?;
-        let mut total = outputs.carry(&of_outputs);
+        let [to_depth, mut to_motion] = outputs.carry(&of_outputs);
         if let Some(rectified) = &rectified {
-            total = total.add(objective::rotation::measure(&self.config.loss, rectified, &mut losses)?);
+            to_motion = to_motion.add(objective::rotation::measure(&self.config.loss, rectified, &mut losses)?);
         }
-        let gradients = tape.backward_and_free(total);
-        let of = |net: &Binder<'_, f32>, trained: bool| if trained { net.gradients(&gradients) } else { Vec::new() };
+        let (by_depth, by_motion) = par::join(|| of_depth.backward_and_free(to_depth), || of_motion.backward_and_free(to_motion));
+        let of = |net: &Binder<'_, f32>, gradients, trained: bool| if trained { net.gradients(gradients) } else { Vec::new() };
         let reaches_flow = stage.train_flow && needs.flow != FlowWays::None;
         Ok(Scene {
             losses,
             gradients: [
-                of(&depth, stage.train_depth),
-                of(&pose, stage.train_pose),
-                of(&flow, reaches_flow),
-                of(&rectify, self.trains_rectify(stage)),
+                of(&depth, &by_depth, stage.train_depth),
+                of(&pose, &by_motion, stage.train_pose),
+                of(&flow, &by_motion, reaches_flow),
+                of(&rectify, &by_motion, self.trains_rectify(stage)),
             ],
             statistics: [depth.into_statistics(), pose.into_statistics(), rectify.into_statistics()],
         })
@@ -322,7 +322,7 @@ mod tests {
             let sources = join_in(&trainer.pool, &[&batch.seen.previous, &batch.seen.next]);
             let [mut depth, mut pose] = [&trainer.weights.depth, &trainer.weights.pose].map(|set| binder(&tape, set, true));
             trainer
-                .run_networks(&tape, (&batch, &sources), (&config.train.stages[0], Needs::default()), &mut depth, &mut pose)
+                .run_networks((&batch, &sources), (&config.train.stages[0], Needs::default()), &mut depth, &mut pose)
                 .motion
                 .to_se3()
         }

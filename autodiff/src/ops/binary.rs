@@ -17,8 +17,8 @@ pub(crate) fn keep_both<'t, T: Scalar>(
     a: Var<'t, T>,
     b: Var<'t, T>,
     forward: impl FnOnce(&[T], &[T], &mut [T]),
-    backward_a: impl Fn(&[T], &[T], &[T], &mut [T]) + 'static,
-    backward_b: impl Fn(&[T], &[T], &[T], &mut [T]) + 'static,
+    backward_a: impl Fn(&[T], &[T], &[T], &mut [T]) + Send + 'static,
+    backward_b: impl Fn(&[T], &[T], &[T], &mut [T]) + Send + 'static,
 ) -> Var<'t, T> {
     assert_same(op, a.shape(), b.shape());
     let y = output(a, b, forward);

@@ -10,7 +10,7 @@ pub(crate) fn keep_input<'t, T: Scalar>(
     op: &'static str,
     x: Var<'t, T>,
     forward: impl FnOnce(&[T], &mut [T]),
-    backward: impl Fn(&[T], &[T], &mut [T]) + 'static,
+    backward: impl Fn(&[T], &[T], &mut [T]) + Send + 'static,
 ) -> Var<'t, T> {
     let input = x.value();
     let y = output(x, forward);
@@ -27,7 +27,7 @@ pub(crate) fn keep_output<'t, T: Scalar>(
     op: &'static str,
     x: Var<'t, T>,
     forward: impl FnOnce(&[T], &mut [T]),
-    backward: impl Fn(&[T], &[T], &mut [T]) + 'static,
+    backward: impl Fn(&[T], &[T], &mut [T]) + Send + 'static,
 ) -> Var<'t, T> {
     let y = output(x, forward);
     let kept = y.clone();
@@ -44,7 +44,7 @@ pub(crate) fn keep_nothing<'t, T: Scalar>(
     op: &'static str,
     x: Var<'t, T>,
     forward: impl FnOnce(&[T], &mut [T]),
-    backward: impl Fn(&[T], &mut [T]) + 'static,
+    backward: impl Fn(&[T], &mut [T]) + Send + 'static,
 ) -> Var<'t, T> {
     let y = output(x, forward);
     let record = move |g: &Tensor<T>, grads: &mut GradSink<'_, T>| {

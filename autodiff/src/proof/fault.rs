@@ -1,9 +1,9 @@
 //! Faults planted in backward rules: the test of the checker.
 
-use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fmt;
-use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 use super::check::Expected;
 use super::{Case, Proof, TOLERANCE};
@@ -79,7 +79,7 @@ impl fmt::Display for Fault {
 }
 
 /// Changes a contribution of the given shape in place.
-type Spoil<T> = Box<dyn Fn(Shape, &mut [T])>;
+type Spoil<T> = Box<dyn Fn(Shape, &mut [T]) + Send>;
 
 /// Changes what one node of a tape contributes to one of its parents, in place.
 pub(crate) struct Planted<T: Scalar> {
@@ -151,20 +151,20 @@ pub fn mutations(proof: &Proof) -> Vec<Mutation> {
 
 impl Mutation {
     fn plant(&mut self, case: &Case, expected: &Expected, node: usize, parent: usize) {
-        let (fault, moved) = (self.fault, Rc::new(Cell::new(false)));
+        let (fault, moved) = (self.fault, Arc::new(AtomicBool::new(false)));
         let planted = || {
             let moved = moved.clone();
-            Planted { node, parent, spoil: Box::new(move |shape, g: &mut [f64]| moved.set(fault.spoil(shape, g))) }
+            Planted { node, parent, spoil: Box::new(move |shape, g: &mut [f64]| moved.store(fault.spoil(shape, g), Relaxed)) }
         };
         let gradients = case.gradients(&case.inputs, &expected.weights[0], Some(planted())).1;
-        if moved.get() {
+        if moved.load(Relaxed) {
             self.planted += 1;
             self.caught += usize::from(expected.error(0, &gradients) > TOLERANCE);
         }
         if self.tried_by_differences < 2 && case.entries() <= MOST_FOR_DIFFERENCES {
-            moved.set(false);
+            moved.store(false, Relaxed);
             let report = case.differences(Some(&planted));
-            if moved.get() && report.signal > 1e-3 {
+            if moved.load(Relaxed) && report.signal > 1e-3 {
                 self.tried_by_differences += 1;
                 self.caught_by_differences += usize::from(!report.is_ok());
             }

@@ -21,7 +21,7 @@ impl<T: Scalar> Copy for Var<'_, T> {}
 
 impl<T: Scalar> fmt::Debug for Var<'_, T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let nodes = self.tape.nodes.borrow();
+        let nodes = self.tape.nodes();
         write!(f, "Var #{} {} {}", self.id, nodes[self.id].op, nodes[self.id].shape)
     }
 }
@@ -38,7 +38,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     /// When the value was freed by [`Tape::backward_and_free`] or [`Var::release`].
     #[track_caller]
     pub fn value(self) -> Tensor<T> {
-        let nodes = self.tape.nodes.borrow();
+        let nodes = self.tape.nodes();
         let node = &nodes[self.id];
         let freed = || panic!("value of {} {} was freed by backward_and_free or release", node.op, node.shape);
         node.value.clone().unwrap_or_else(freed)
@@ -51,12 +51,12 @@ impl<'t, T: Scalar> Var<'t, T> {
 
     /// The shape of the value.
     pub fn shape(self) -> Shape {
-        self.tape.nodes.borrow()[self.id].shape
+        self.tape.nodes()[self.id].shape
     }
 
     /// Whether a leaf is among this variable's ancestors (or it is one).
     pub fn requires_grad(self) -> bool {
-        self.tape.nodes.borrow()[self.id].requires_grad
+        self.tape.nodes()[self.id].requires_grad
     }
 
     /// The same value cut off from its history: no gradient passes.
@@ -68,7 +68,7 @@ impl<'t, T: Scalar> Var<'t, T> {
     ///
     /// The variable still passes its gradient. To be called by whoever made the variable.
     pub fn release(self) {
-        self.tape.nodes.borrow_mut()[self.id].value = None;
+        self.tape.nodes()[self.id].value = None;
     }
 
     /// `last(self)`, after which the value is [released](Var::release).
@@ -91,7 +91,7 @@ impl<'t, T: Scalar> Var<'t, T> {
 
     /// Asks the backward pass to keep the gradient of this intermediate variable.
     pub fn retain_grad(self) -> Var<'t, T> {
-        let mut nodes = self.tape.nodes.borrow_mut();
+        let mut nodes = self.tape.nodes();
         let node = &mut nodes[self.id];
         node.keeps_grad = node.requires_grad;
         drop(nodes);

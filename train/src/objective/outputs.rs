@@ -3,7 +3,8 @@
 use dimode_autodiff::{Tape, Tensor, Var};
 use dimode_geometry::taped::Pose;
 
-/// What the networks said about a batch of `n` snippets.
+/// What the networks said about a batch of `n` snippets. Disparities are on one tape, everything else is on one, too, which may be
+/// another.
 pub struct Outputs<'t> {
     /// Disparities of the targets in (0, 1), full size first, `[n, 1, h, w]`.
     pub disparities: Vec<Var<'t, f32>>,
@@ -44,20 +45,29 @@ impl<'t> Flow<'t> {
 pub struct OutputGradients(pub(super) Vec<Tensor<f32>>);
 
 impl<'t> Outputs<'t> {
-    /// Everything that takes a gradient.
+    /// Everything that takes a gradient: the disparities, then the rest.
     pub(super) fn all(&self) -> Vec<Var<'t, f32>> {
-        let mut all = self.disparities.clone();
-        all.extend(&self.source_disparities);
-        all.extend([self.motion.rotation, self.motion.translation]);
+        [self.of_depth(), self.of_motion()].concat()
+    }
+
+    fn of_depth(&self) -> Vec<Var<'t, f32>> {
+        self.disparities.iter().chain(&self.source_disparities).copied().collect()
+    }
+
+    fn of_motion(&self) -> Vec<Var<'t, f32>> {
+        let mut all = vec![self.motion.rotation, self.motion.translation];
         all.extend(self.flow.filter(|flow| flow.trained).into_iter().flat_map(Flow::maps));
         all.extend(self.rectified);
         all
     }
 
-    /// A scalar whose gradient with respect to the outputs is the given one.
-    pub fn carry(&self, gradients: &OutputGradients) -> Var<'t, f32> {
-        let parts: Vec<_> = self.all().into_iter().zip(&gradients.0).map(|(x, g)| dot(x, g)).collect();
-        parts.into_iter().reduce(|a, b| a.add(b)).expect("there are always outputs")
+    /// Two scalars whose gradients with respect to the outputs are the given ones: of the disparities, and of everything else.
+    pub fn carry(&self, gradients: &OutputGradients) -> [Var<'t, f32>; 2] {
+        let (outputs, mut gradients) = ([self.of_depth(), self.of_motion()], gradients.0.iter());
+        outputs.map(|outputs| {
+            let parts: Vec<_> = outputs.into_iter().zip(&mut gradients).map(|(x, g)| dot(x, g)).collect();
+            parts.into_iter().reduce(|a, b| a.add(b)).expect("there are always outputs")
+        })
     }
 
     /// The same values as leaves of another tape; a flow that is not trained as constants.

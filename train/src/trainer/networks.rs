@@ -1,6 +1,6 @@
 //! What the networks of a trainer say about a batch.
 
-use dimode_autodiff::{Tape, Tensor, rng};
+use dimode_autodiff::{Tape, Tensor, par, rng};
 use dimode_nets::{Binder, Mode, ParamSet, RectifyNet};
 
 use super::Trainer;
@@ -21,9 +21,10 @@ pub(super) fn binder<'t>(tape: &'t Tape<f32>, params: &ParamSet<f32>, train: boo
 
 impl Trainer {
     /// Disparities and motions of a batch whose sources the networks see as `seen_sources`, and what else of it a stage needs.
+    ///
+    /// Depth and pose network run side by side, each on its binder's tape; further looks of the pose network wait for the depth.
     pub(super) fn run_networks<'t>(
         &self,
-        tape: &'t Tape<f32>,
         (batch, seen_sources): (&Batch, &Tensor<f32>),
         (stage, needs): (&StageConfig, Needs),
         depth: &mut Binder<'t, f32>,
@@ -31,13 +32,26 @@ impl Trainer {
     ) -> Outputs<'t> {
         let images = &batch.seen;
         let n = batch.names.len();
+        let pairs = Pairs {
+            target: &join_in(&self.pool, &[&images.target, &images.target]),
+            source: seen_sources,
+            earlier: n,
+            depth: None,
+            cameras: &[&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
+        };
         let together = needs.source_depth == SourceDepth::Gradient;
         let seen = if together { join_in(&self.pool, &[&images.target, seen_sources]) } else { images.target.clone() };
-        let disparities = self.model.depth.forward(depth, tape.constant(seen));
+        let (disparities, motion) = par::join(
+            || {
+                let seen = depth.tape().constant(seen);
+                self.model.depth.forward(depth, seen)
+            },
+            || self.model.first_look(pose, &pairs),
+        );
         let scales = || disparities.iter().take(self.config.loss.scales);
         let source_disparities = match needs.source_depth {
             SourceDepth::None => Vec::new(),
-            SourceDepth::Value => vec![tape.constant(self.source_disparity(seen_sources, stage.train_depth))],
+            SourceDepth::Value => vec![depth.tape().constant(self.source_disparity(seen_sources, stage.train_depth))],
             SourceDepth::Gradient => scales().map(|d| d.slice(0, n, 2 * n)).collect(),
         };
         let targets: Vec<_> = scales().map(|d| d.slice(0, 0, n)).collect();
@@ -46,14 +60,7 @@ impl Trainer {
             let depth = self.model.range.depth_in(&self.pool, &targets[0].value());
             join_in(&self.pool, &[&depth, &depth])
         });
-        let pairs = Pairs {
-            target: &join_in(&self.pool, &[&images.target, &images.target]),
-            source: seen_sources,
-            earlier: n,
-            depth: depth.as_ref(),
-            cameras: &[&batch.intrinsics[..], &batch.intrinsics[..]].concat(),
-        };
-        let motion = self.model.source_from_target(pose, &pairs, looks);
+        let motion = self.model.refined(pose, &Pairs { depth: depth.as_ref(), ..pairs }, motion, looks);
         Outputs { disparities: targets, source_disparities, motion, flow: None, rectified: None }
     }
 
