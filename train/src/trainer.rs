@@ -19,7 +19,7 @@ use crate::model::{Model, Weights};
 use crate::non_finite::{Failure, NonFinite};
 use crate::objective::{self, FlowWays, Given, LossReport, Outputs, TermReport};
 use crate::observed::BatchFlow;
-use crate::optim::adamw::{AdamW, State, has_finite_squares};
+use crate::optim::adamw::{AdamW, Largest, State, has_finite_squares};
 use crate::optim::{clip_scale, gradient_norm};
 use crate::pose_refinement::Pairs;
 use networks::binder;
@@ -39,10 +39,10 @@ pub struct StepReport {
 pub struct Trainer {
     /// The networks.
     pub model: Model,
-    /// Their weights.
-    pub weights: Weights,
-    /// Moments of the optimiser.
-    pub optimiser: State,
+    weights: Weights,
+    optimiser: State,
+    /// Sizes of parameters that this trainer has stepped, by the optimiser's name of them.
+    largest: BTreeMap<String, Largest>,
     config: Config,
     pool: Arc<Pool<f32>>,
 }
@@ -50,7 +50,23 @@ pub struct Trainer {
 impl Trainer {
     /// A trainer that starts from the given weights.
     pub fn new(config: &Config, weights: Weights, optimiser: State) -> Self {
-        Trainer { model: Model::new(&config.nets), weights, optimiser, config: config.clone(), pool: Pool::new() }
+        let (largest, pool) = (BTreeMap::new(), Pool::new());
+        Trainer { model: Model::new(&config.nets), weights, optimiser, largest, config: config.clone(), pool }
+    }
+
+    /// The weights of the networks.
+    pub fn weights(&self) -> &Weights {
+        &self.weights
+    }
+
+    /// The networks with their weights.
+    pub fn into_networks(self) -> (Model, Weights) {
+        (self.model, self.weights)
+    }
+
+    /// Moments of the optimiser.
+    pub fn optimiser(&self) -> &State {
+        &self.optimiser
     }
 
     /// Takes one step at the given learning rate. With `probe` each term's gradient is measured apart.
@@ -110,8 +126,12 @@ impl Trainer {
         }
         let gradients = [depth_gradients, pose_gradients, flow_step.unwrap_or_default(), rectify_gradients];
         let rates = [1.0, self.config.train.pose_rate, self.config.loss.flow.rate, 1.0].map(|share| rate * share);
-        let scales = norms.map(|norm| clip_scale(norm.unwrap_or(0.0), clip));
-        self.update(&gradients, &statistics, rates, scales).map_err(|failure| failure.at(step, batch))?;
+        let paces = std::array::from_fn(|k| {
+            let norm = norms[k].unwrap_or(0.0);
+            let scale = clip_scale(norm, clip);
+            Pace { rate: rates[k], scale, bound: norm * scale }
+        });
+        self.update(&gradients, &statistics, paces).map_err(|failure| failure.at(step, batch))?;
         Ok(StepReport { total, terms, network_gradients: norms })
     }
 
@@ -143,24 +163,25 @@ impl Trainer {
         &mut self,
         gradients: &[Vec<ParamGradient<f32>>; 4],
         statistics: &[Vec<StatisticsUpdate<f32>>; 3],
-        rates: [f64; 4],
-        scales: [f64; 4],
+        paces: [Pace; 4],
     ) -> Result<(), Failure> {
         let adamw = self.adamw();
         let before = self.weights.sets().map(buffers);
         self.weights.depth.apply_statistics(&statistics[0]);
         self.weights.pose.apply_statistics(&statistics[1]);
         self.weights.rectify.apply_statistics(&statistics[2]);
-        if let Some(failure) = self.unusable(&adamw, gradients, rates, scales) {
+        if let Some(failure) = self.unusable(&adamw, gradients, paces) {
             for (set, before) in self.weights.sets_mut().into_iter().zip(before) {
                 before.into_iter().for_each(|(path, buffer)| set.set(&path, buffer));
             }
             return Err(failure);
         }
         for (k, (network, set)) in Weights::NAMES.into_iter().zip(self.weights.sets_mut()).enumerate() {
+            let Pace { rate, scale, .. } = paces[k];
             for ParamGradient { path, gradient } in &gradients[k] {
-                let value = set.get_mut(path).expect("a bound parameter").data_mut();
-                adamw.step(&mut self.optimiser, &key(network, path), value, gradient, rates[k], scales[k]);
+                let (key, value) = (key(network, path), set.get_mut(path).expect("a bound parameter").data_mut());
+                let largest = adamw.step(&mut self.optimiser, &key, value, gradient, rate, scale);
+                self.largest.insert(key, largest);
             }
         }
         Ok(())
@@ -172,17 +193,19 @@ impl Trainer {
     }
 
     /// The first weight or running statistic that nothing can be computed with after the step, because its square is not finite.
-    fn unusable(
-        &self,
-        adamw: &AdamW,
-        gradients: &[Vec<ParamGradient<f32>>; 4],
-        rates: [f64; 4],
-        scales: [f64; 4],
-    ) -> Option<Failure> {
+    fn unusable(&self, adamw: &AdamW, gradients: &[Vec<ParamGradient<f32>>; 4], paces: [Pace; 4]) -> Option<Failure> {
         Weights::NAMES.into_iter().zip(self.weights.sets()).enumerate().find_map(|(k, (network, set))| {
             let stepped: BTreeMap<&str, &Tensor<f32>> = gradients[k].iter().map(|g| (g.path.as_str(), &g.gradient)).collect();
+            let Pace { rate, scale, bound } = paces[k];
+            let surely = |key: &str| {
+                let (largest, moments) = (self.largest.get(key)?, self.optimiser.0.get(key)?);
+                Some(adamw.surely_keeps_usable(*largest, moments.steps, bound, rate))
+            };
             let is_usable = |path: &str, value: &[f32]| match stepped.get(path) {
-                Some(gradient) => adamw.keeps_usable(&self.optimiser, &key(network, path), value, gradient, rates[k], scales[k]),
+                Some(gradient) => {
+                    let key = key(network, path);
+                    surely(&key) == Some(true) || adamw.keeps_usable(&self.optimiser, &key, value, gradient, rate, scale)
+                }
                 None => has_finite_squares(value),
             };
             let (path, _) = set.iter().find(|(path, entry)| !is_usable(path, entry.tensor().data()))?;
@@ -255,6 +278,17 @@ impl Trainer {
         let (loss, terms) = objective::flow::measure(settings, [target, next], &flows, back.as_deref())?;
         Ok((terms, net.gradients(&tape.backward_and_free(loss))))
     }
+}
+
+/// How a network is stepped.
+#[derive(Clone, Copy)]
+struct Pace {
+    /// Learning rate.
+    rate: f64,
+    /// Factor on the gradient.
+    scale: f64,
+    /// No entry of the gradient is larger after that.
+    bound: f64,
 }
 
 /// What the losses of depth and motion say.

@@ -62,7 +62,7 @@ fn run(config: &Config) -> Run {
         trainer.step(&batch, None, schedule.stage(k).1, k, config.train.learning_rate, true).unwrap()
     };
     let reports = (0..config.train.steps).map(&mut step).collect();
-    Run { reports, before, after: trainer.weights }
+    Run { reports, before, after: trainer.into_networks().1 }
 }
 
 /// Names of the terms of the last step of each stage.

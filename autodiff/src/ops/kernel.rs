@@ -85,18 +85,23 @@ impl<T: Scalar> WithSimd for Squares<'_, T> {
     type Output = f64;
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> f64 {
-        let mut lanes = [0.0; 32];
+        // Registers of their own: one array of all lanes stays in memory, which took more than three times as long.
+        let mut lanes = [[0.0; 8]; 4];
         let (groups, rest) = self.0.as_chunks::<32>();
         for group in groups {
-            for l in 0..lanes.len() {
-                let x = group[l].to_f64();
-                lanes[l] += x * x;
+            let [a, b, c, d] = &mut lanes;
+            for (k, lanes) in [a, b, c, d].into_iter().enumerate() {
+                for l in 0..8 {
+                    let x = group[8 * k + l].to_f64();
+                    lanes[l] += x * x;
+                }
             }
         }
+        let lanes = lanes.as_flattened_mut();
         for (lane, x) in lanes.iter_mut().zip(rest) {
             *lane += x.to_f64() * x.to_f64();
         }
-        lanes.into_iter().sum()
+        lanes.iter().sum()
     }
 }
 

@@ -6,7 +6,8 @@
 //! Numbers below 1e-30 become 0: moments of a weight without gradient decay into subnormal numbers otherwise, which slow every
 //! later step.
 //!
-//! Weights and moments change in place. [`AdamW::keeps_usable`] says beforehand whether they will be of use.
+//! Weights and moments change in place. [`AdamW::keeps_usable`] says beforehand whether they will be of use; where
+//! [`AdamW::surely_keeps_usable`] says so from the sizes that the last step left, nothing has to be read for it.
 
 use std::collections::BTreeMap;
 
@@ -41,19 +42,39 @@ pub struct Moments {
     pub second: Tensor<f32>,
 }
 
+/// Largest magnitudes of a parameter and of its first moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Largest {
+    /// Of the weights.
+    pub weight: f32,
+    /// Of the first moment.
+    pub first: f32,
+}
+
 /// Moments of all parameters, by path.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State(pub BTreeMap<String, Moments>);
+
+/// Weights up to this size are of use, and far from those that are not.
+const TAME: f64 = 1e18;
 
 /// What moments are before the first step.
 static ZEROS: [f32; par::CHUNK] = [0.0; par::CHUNK];
 
 impl AdamW {
-    /// Takes one step of the parameter at `path`. `gradient` is multiplied by `scale` first (clipping).
+    /// Takes one step of the parameter at `path`. `gradient` is multiplied by `scale` first (clipping). Returns the sizes after it.
     ///
     /// # Panics
     /// When sizes differ.
-    pub fn step(&self, state: &mut State, path: &str, value: &mut [f32], gradient: &Tensor<f32>, learning_rate: f64, scale: f64) {
+    pub fn step(
+        &self,
+        state: &mut State,
+        path: &str,
+        value: &mut [f32],
+        gradient: &Tensor<f32>,
+        learning_rate: f64,
+        scale: f64,
+    ) -> Largest {
         assert_size(path, value, gradient);
         let zeros = || Tensor::zeros(gradient.shape());
         if !state.0.contains_key(path) {
@@ -68,7 +89,23 @@ impl AdamW {
             .zip(second.chunks_mut(par::CHUNK))
             .zip(value.chunks_mut(par::CHUNK).zip(gradient.data().chunks(par::CHUNK)))
             .collect();
-        par::for_each_item(rows, |_, ((m, v), (w, g))| Arch::new().dispatch(Update { rule, m, v, w, g }));
+        let mut largest = vec![Largest { weight: 0.0, first: 0.0 }; rows.len()];
+        let rows = rows.into_iter().zip(&mut largest).collect();
+        par::for_each_item(rows, |_, (((m, v), (w, g)), largest)| {
+            *largest = Arch::new().dispatch(Update { rule, m, v, w, g });
+        });
+        let join = |a: Largest, b: Largest| Largest { weight: a.weight.max(b.weight), first: a.first.max(b.first) };
+        largest.into_iter().reduce(join).unwrap_or(Largest { weight: 0.0, first: 0.0 })
+    }
+
+    /// Whether a step must leave weights with finite squares, by sizes alone: those that the last of `steps` steps left, which was
+    /// [usable](AdamW::keeps_usable), and a bound of all entries of the gradient. `false` says nothing.
+    pub fn surely_keeps_usable(&self, largest: Largest, steps: u64, gradient: f64, learning_rate: f64) -> bool {
+        let rule = Rule::new(self, steps + 1, learning_rate, 1.0);
+        // The second moment is not negative after a usable step, so the divisor is epsilon at least.
+        let first = f64::from(largest.first) + gradient;
+        let moved = f64::from(rule.rate).abs() * first / self.epsilon;
+        f64::from(largest.weight) * f64::from(rule.keep).abs() + moved <= TAME
     }
 
     /// Whether after the same step every weight has a finite square, without which nothing can be computed with it. Changes
@@ -182,13 +219,15 @@ struct Update<'a> {
 }
 
 impl WithSimd for Update<'_> {
-    type Output = ();
+    type Output = Largest;
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
+    fn with_simd<S: Simd>(self, simd: S) -> Largest {
         let Self { rule, m, v, w, g } = self;
         let (lanes, len) = (Wide::<S, f32>::lanes(), g.len());
+        let mut largest = [Wide::splat(simd, 0.0_f32); 2];
         for at in (0..len).step_by(lanes) {
             let [next_m, next_v, next_w] = rule.next(load(simd, [m, v, w, g], at));
+            largest = [largest[0].max(next_w.abs()), largest[1].max(next_m.abs())];
             if at + lanes <= len {
                 next_m.store(&mut m[at..]);
                 next_v.store(&mut v[at..]);
@@ -199,7 +238,17 @@ impl WithSimd for Update<'_> {
                 next_w.store_part(&mut w[at..]);
             }
         }
+        let [weight, first] = largest.map(most);
+        Largest { weight, first }
     }
+}
+
+/// The largest of some lanes that are not negative.
+#[inline(always)]
+fn most<S: Simd>(x: Wide<S, f32>) -> f32 {
+    let mut lanes = [0.0; 64];
+    x.store(&mut lanes);
+    lanes.into_iter().fold(0.0, f32::max)
 }
 
 /// Whether a step of some weights leaves finite squares.
@@ -314,6 +363,40 @@ mod tests {
                 assert_eq!(usable, bad == 1e30, "a gradient of {bad} at {i}");
             }
         }
+    }
+
+    /// Steep and flat gradients, small and large rates, weight decay that grows weights: what is promised is always kept.
+    #[test]
+    fn what_sizes_alone_promise_holds_and_is_promised_in_ordinary_training() {
+        let (shape, seeds) = (Shape::new(1, 1, 1, 45), 0..400);
+        let (mut sure, mut broken) = (0, 0);
+        for seed in seeds {
+            let draw = |k: u64| dimode_autodiff::rng::uniform::<f32>(10 * seed + k, shape, -1.0, 1.0);
+            let power = |k: u64, reach: f64| 10_f64.powf(reach * f64::from(draw(k).data()[0]));
+            let settings = AdamW { epsilon: power(1, 12.0), weight_decay: power(2, 3.0), ..AdamW::default() };
+            let (mut state, mut w) = (State::default(), draw(3).to_vec());
+            let mut largest = None;
+            for k in 0..3 {
+                let size = power(4 + k, 20.0) as f32;
+                let gradient = Tensor::from_fn(shape, |_, _, _, j| size * draw(7).data()[j]);
+                let (rate, bound) = (power(8, 20.0), f64::from(size));
+                let kept = settings.keeps_usable(&state, "w", &w, &gradient, rate, 1.0);
+                let promised = largest.is_some_and(|largest| settings.surely_keeps_usable(largest, k, bound, rate));
+                assert!(kept || !promised, "seed {seed}, step {k}: {largest:?}");
+                sure += usize::from(promised);
+                broken += usize::from(!kept);
+                if !kept {
+                    break;
+                }
+                let found = settings.step(&mut state, "w", &mut w, &gradient, rate, 1.0);
+                let most = |x: &[f32]| x.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
+                assert_eq!(found, Largest { weight: most(&w), first: most(state.0["w"].first.data()) });
+                largest = Some(found);
+            }
+        }
+        assert!(sure > 50 && broken > 50, "{sure} promises, {broken} steps beyond use");
+        let usual = Largest { weight: 30.0, first: 1e3 };
+        assert!(AdamW::default().surely_keeps_usable(usual, 7, 1e4, 1e-2));
     }
 
     #[test]

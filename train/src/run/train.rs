@@ -80,7 +80,7 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
         let (_, next_stage) = schedule.stage(step + 1);
         let ways = needs(&config.loss, next_stage).flow;
         let early = !stage.train_flow && !next_stage.train_flow && ways != FlowWays::None;
-        let flow_network = early.then(|| (trainer.model.clone(), trainer.weights.flow.clone(), trainer.pool().clone()));
+        let flow_network = early.then(|| (trainer.model.clone(), trainer.weights().flow.clone(), trainer.pool().clone()));
         let (report, upcoming) = par::join(
             || trainer.step(&batch, flow.as_ref(), stage, step, rate, probe),
             || -> Result<Option<Prepared>> {
@@ -112,7 +112,7 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
     }
     progress.finish();
     progress.note(&format!("peak memory of training: {memory}"));
-    let Trainer { model, weights, .. } = trainer;
+    let (model, weights) = trainer.into_networks();
     let trained = TrainedModel { config: config.clone(), model, weights };
     finish(request, &folder, dataset.as_ref(), &trained, progress, stop)
 }
@@ -173,11 +173,11 @@ fn restore(config: &Config, path: &Path) -> Result<(Trainer, u64)> {
 
 /// Everything that the next step depends on.
 fn save(trainer: &Trainer, step: u64) -> Checkpoint {
-    let mut tensors = weight_tensors(&trainer.weights);
+    let mut tensors = weight_tensors(trainer.weights());
     let dims: Vec<(String, Vec<usize>)> = tensors.iter().map(|t| (t.0.clone(), t.1.clone())).collect();
     let mut taken = Map::new();
     for (path, dims) in dims {
-        if let Some(moments) = trainer.optimiser.0.get(&path) {
+        if let Some(moments) = trainer.optimiser().0.get(&path) {
             tensors.push((format!("first/{path}"), dims.clone(), moments.first.clone()));
             tensors.push((format!("second/{path}"), dims, moments.second.clone()));
             taken.insert(path, json!(moments.steps));
