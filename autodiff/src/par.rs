@@ -83,7 +83,8 @@ pub fn inside<R: Send>(f: impl FnOnce() -> R + Send) -> R {
 /// Runs `f` as [`inside`] does and keeps the pool's other threads looking for work until it returns, where they would fall asleep
 /// between loops. Waking them takes as long as a small loop: a training step of short loops is a quarter faster on two threads.
 ///
-/// Costs the time of all threads, as long as `f` runs. Within another call of this function it only runs `f`.
+/// Costs the time of all threads, as long as `f` runs, and begins when every thread has ended what it does. Within another call of
+/// this function it only runs `f`: to let a long job run beside, call it around both.
 pub fn awake<R: Send>(f: impl FnOnce() -> R + Send) -> R {
     inside(|| {
         let others = rayon::current_num_threads() - 1;

@@ -10,7 +10,7 @@ use super::worlds::Worlds;
 /// A network, the batches that it learns from, its loss, and how its error is measured.
 pub trait Task: Sync {
     /// The data of one step.
-    type Batch;
+    type Batch: Sync;
 
     /// Which network it is, for messages.
     const NETWORK: &'static str;

@@ -13,6 +13,7 @@ use super::target::Target;
 use super::task::Task;
 use super::worlds::Worlds;
 use crate::data::synthetic::Split;
+use crate::memory::PeakMemory;
 use crate::non_finite::NonFinite;
 use crate::optim::adamw::{AdamW, State};
 use crate::optim::{clip_scale, gradient_norm};
@@ -55,7 +56,8 @@ pub fn train<T: Task>(
         progress.start(settings.steps as u64, &format!("pre-training {}", T::NETWORK));
         for step in 0..settings.steps {
             go_on(stop, progress, step)?;
-            let loss = learner.step(&task.batch(&worlds, step, settings.batch)?, step)?;
+            let batch = task.batch(&worlds, step, settings.batch)?;
+            let loss = par::awake(|| learner.step(&batch, step))?;
             progress.step(step as u64 + 1, &format!("loss {loss:.3}"));
             if (step + 1).is_multiple_of(T::LOOK_EVERY) {
                 let errors = held_out_errors(task, settings, &learner.params, T::LOOK_PAIRS)?;
@@ -64,6 +66,7 @@ pub fn train<T: Task>(
             }
         }
         progress.finish();
+        progress.note(&format!("peak memory of pre-training: {}", PeakMemory::now(learner.pool.peak_bytes())));
         let errors = learner.conclude()?;
         go_on(stop, progress, settings.steps)?;
         target.write(&learner.params)?;

@@ -81,16 +81,16 @@ fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Re
         let ways = needs(&config.loss, next_stage).flow;
         let early = !stage.train_flow && !next_stage.train_flow && ways != FlowWays::None;
         let flow_network = early.then(|| (trainer.model.clone(), trainer.weights().flow.clone(), trainer.pool().clone()));
-        let (report, upcoming) = par::join(
-            || trainer.step(&batch, flow.as_ref(), stage, step, rate, probe),
-            || -> Result<Option<Prepared>> {
-                let Some(items) = next else { return Ok(None) };
-                let batch = load(items, step + 1)?;
-                let both_ways = ways == FlowWays::Both;
-                let flow = flow_network.map(|(model, weights, pool)| observed.of((&model, &weights), &batch, both_ways, &pool));
-                Ok(Some(Prepared { batch, flow }))
-            },
-        );
+        let load_next = || -> Result<Option<Prepared>> {
+            let Some(items) = next else { return Ok(None) };
+            let batch = load(items, step + 1)?;
+            let both_ways = ways == FlowWays::Both;
+            let flow = flow_network.map(|(model, weights, pool)| observed.of((&model, &weights), &batch, both_ways, &pool));
+            Ok(Some(Prepared { batch, flow }))
+        };
+        // Awake around both: a step that wakes the other threads itself would first let them end the loading.
+        let (report, upcoming) =
+            par::awake(|| par::join(|| trainer.step(&batch, flow.as_ref(), stage, step, rate, probe), load_next));
         // After an error the weights of now lead here again; those of the last checkpoint, which stays, may not.
         let place = || folder.path().display().to_string();
         let report = report.with_context(place)?;
