@@ -77,14 +77,28 @@ mod tests {
         assert!(tape.backward(map.sum()).wrt(x).data().iter().all(|&g| g.abs() < 1e-10));
     }
 
+    /// The composed form of the fused operation: values, and gradients to both images.
     #[test]
     fn with_the_absolute_difference_it_makes_the_photometric_error() {
-        let tape = Tape::<f64>::new();
-        let image = |seed| tape.constant(random(seed, Shape::new(2, 3, 6, 7), 0.0, 1.0));
-        let (x, y) = (image(1), image(2));
-        let parts = dissimilarity(x, y, 3, Border::Mirrored).scale(ALPHA).add(x.sub(y).abs().scale(1.0 - ALPHA));
-        let (fused, parts) = (photometric(x, y).value(), parts.mean_channels().value());
-        assert!(fused.data().iter().zip(parts.data()).all(|(a, b)| (a - b).abs() < 1e-12));
+        for (h, w) in [(2, 2), (2, 5), (6, 7), (33, 17), (70, 40)] {
+            let image = |seed| random(seed, Shape::new(2, 3, h, w), 0.0, 1.0);
+            let run = |error: for<'t> fn(Var<'t, f64>, Var<'t, f64>) -> Var<'t, f64>| {
+                let tape = Tape::<f64>::new();
+                let [x, y] = [1, 2].map(|seed| tape.leaf(image(seed)));
+                let map = error(x, y);
+                let gradients = tape.backward(weighted_sum(map, 3));
+                [map.value(), gradients.wrt(x), gradients.wrt(y)]
+            };
+            let composed = run(|x, y| {
+                let dissimilarity = dissimilarity(x, y, 3, Border::Mirrored).scale(ALPHA);
+                dissimilarity.add(x.sub(y).abs().scale(1.0 - ALPHA)).mean_channels()
+            });
+            for (fused, composed) in run(photometric).iter().zip(&composed) {
+                for (a, b) in fused.data().iter().zip(composed.data()) {
+                    assert!((a - b).abs() < 1e-10 * (1.0 + b.abs()), "{h} x {w}: {a} and {b}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -240,6 +240,8 @@ mod tests {
         let (trained, lines) = Slope::new().train(&Settings::new(2, 1), &out, false);
         let error = |preset: &str| HeldOutError { preset: preset.to_owned(), network: 0.5, zero: 1.0, pairs: 4 };
         assert_eq!(trained.unwrap(), ["street", "handheld", "lateral"].map(error));
+        let (peak, lines) = (&lines[5], [&lines[..5], &lines[6..]].concat());
+        assert!(peak.starts_with("peak memory of pre-training: "), "{peak}");
         let look = "step 2: distance street 0.500 px, handheld 0.500 px, lateral 0.500 px";
         assert_eq!(lines, ["start pre-training slope 2", "step 1 loss 0.000", "step 2 loss -0.001", look, "finish"]);
         assert!(weights::read(&out).unwrap()[0].values[0] < 0.0);
