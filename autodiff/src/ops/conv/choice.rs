@@ -8,21 +8,24 @@
 //! |---|---|---|
 //! | 1x1 64-256, 24x80 | product 146 / 135 / 133 | direct 102 / 62 / 45 |
 //! | depth-wise 3x3 64, 48x160, any dilation | plane by plane 36 / 34 / 33 | direct 21 / 17 / 16 |
-//! | 3x3 64-64, 48x160 | Winograd 216 / 215, strips 139 | direct 132 / 126; product alone 153 |
-//! | 3x3 128-128, 24x80 | Winograd 232 / 245, strips 146 | direct 137 / 132; product alone 124 |
-//! | 3x3 256-256, 12x40 | Winograd 186 / 197, strips 135 | direct 135 / 127; product alone 145 |
-//! | 3x3 512-512, 6x20 | direct 127 / 108, strips 85 | Winograd 108 / 86; product alone 134 |
-//! | 3x3 16-16, 192x640 | direct 112 / 106, strips 104 | Winograd 99 / 84; planes for the weights 80 |
-//! | 3x3 32-16, 96x320 | Winograd 133 / 143, strips 120 | direct 121 / 117; planes for the weights 84 |
+//! | 3x3 64-64, 48x160 | Winograd 216 / 215 / 190 | direct 132 / 126, strips 139; product alone 153 |
+//! | 3x3 128-128, 24x80 | Winograd 232 / 245 / 212 | direct 137 / 132, strips 146; product alone 124 |
+//! | 3x3 256-256, 12x40 | Winograd 186 / 197 / 185 | direct 135 / 127, strips 135; product alone 145 |
+//! | 3x3 512-512, 6x20 | direct 127 / 108, Winograd 117 | Winograd 108 / 86, strips 85; product alone 134 |
+//! | 3x3 16-16, 192x640 | direct 112 / 106, strips 104 | Winograd 99 / 84 / 104; planes for the weights 80 |
+//! | 3x3 32-16, 96x320 | Winograd 133 / 143 / 132 | direct 121 / 117, strips 120; planes for the weights 84 |
 //! | 3x3 stride 2 64-128, 48x160 | direct 117 / 82, strips 127 | |
 //! | 7x7 stride 2 3-64, 192x640 | direct 132 / 55, strips 104 | |
 //!
 //! A column matrix has nine times the size of the image and must be written and read besides, so a product pays only where the
 //! input is its column matrix already. Winograd's transforms of the weights pay only over many tiles, those of the tiles only
-//! over many channels. In the direct gradient of the weights, more than 8 outputs go in strips, whose products reach 140 to 160
+//! over many channels. In the gradient of the weights it is the transform of the sums that few tiles pay for, and it costs less than
+//! the copies of the direct way: a map of one tile is twice as fast. What counts there is that strips of 16 channels are full: 24-24
+//! and 20-64 gain nothing, 17-17 loses a third. In the direct gradient of the weights, more than 8 outputs go in strips, whose products reach 140 to 160
 //! alone; up to 8 go by planes, which have nothing to transpose but reach 105.
 
 use super::layout::Layout;
+use super::winograd_weight_kernels::STRIP;
 
 /// Ways to convolve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,4 +62,11 @@ fn pays_winograd(l: &Layout) -> bool {
     // With fewer tiles, the weights do. Those of one image are counted: its bits do not depend on the others beside it.
     let tiles = l.output.h().div_ceil(2) * l.output.w().div_ceil(2);
     l.is_winograd() && channels && tiles >= 40
+}
+
+/// Whether Winograd's scheme fits the gradient of the weights and is faster.
+pub fn pays_winograd_weight(l: &Layout) -> bool {
+    // With fewer channels, tiles cost more than they save; strips that are filled up cost as much as full ones.
+    let (pairs, filled) = (l.cin * l.cout, l.cin.next_multiple_of(STRIP) * l.cout.next_multiple_of(STRIP));
+    l.is_winograd() && pairs >= 512 && 3 * pairs >= 2 * filled
 }

@@ -12,6 +12,8 @@ pub mod weight_grad;
 pub mod weight_outer;
 mod winograd;
 pub mod winograd_kernels;
+mod winograd_weight;
+pub mod winograd_weight_kernels;
 
 use std::sync::Arc;
 
@@ -45,6 +47,7 @@ pub(super) fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut 
     match algorithm(l) {
         Algorithm::Pointwise => pointwise::backward_weight(l, x, g, dw),
         Algorithm::Depthwise => depthwise::backward_weight(l, x, g, dw, pool),
+        _ if choice::pays_winograd_weight(l) => winograd_weight::backward_weight(l, x, g, dw, pool),
         Algorithm::Winograd | Algorithm::Direct => weight::backward_weight(l, x, g, dw, pool),
     }
 }
@@ -73,6 +76,15 @@ pub trait ConvScalar: Sized {
     /// Transforms a Winograd product to an output plane.
     #[doc(hidden)]
     fn run_winograd_outputs(task: winograd_kernels::Outputs<'_, Self>);
+    /// Transforms tiles for a Winograd gradient of the weights.
+    #[doc(hidden)]
+    fn run_winograd_tiles(task: winograd_weight_kernels::Tiles<'_, Self>);
+    /// Sums its products.
+    #[doc(hidden)]
+    fn run_winograd_sums(task: winograd_weight_kernels::Sums<'_, Self>);
+    /// Transforms them to taps.
+    #[doc(hidden)]
+    fn run_winograd_taps(task: winograd_weight_kernels::Taps<'_, Self>);
     /// Runs a weight gradient, `[output][pair]`.
     #[doc(hidden)]
     fn run_weight_grad(task: weight_grad::WeightGrad<'_, Self>) -> Vec<f64>;
@@ -103,6 +115,15 @@ macro_rules! conv_scalar {
                 task.run();
             }
             fn run_winograd_outputs(task: winograd_kernels::Outputs<'_, Self>) {
+                task.run();
+            }
+            fn run_winograd_tiles(task: winograd_weight_kernels::Tiles<'_, Self>) {
+                task.run();
+            }
+            fn run_winograd_sums(task: winograd_weight_kernels::Sums<'_, Self>) {
+                task.run();
+            }
+            fn run_winograd_taps(task: winograd_weight_kernels::Taps<'_, Self>) {
                 task.run();
             }
             fn run_weight_grad(task: weight_grad::WeightGrad<'_, Self>) -> Vec<f64> {
