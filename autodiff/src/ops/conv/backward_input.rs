@@ -93,13 +93,28 @@ fn add_phase<'a, T: Scalar>(
     out: &mut [T],
 ) {
     let (a, b) = l.phases[phase];
-    let (width, step) = (l.input.w(), l.stride.1);
+    let (width, step, pad) = (l.input.w(), l.stride.1, l.padding().1);
+    // Where the phase lies inside the image, between what the padding read.
+    let first = pad.saturating_sub(b).div_ceil(step);
+    let from = first * step + b - pad;
+    let inner = width.saturating_sub(from).div_ceil(step).min(l.phase_w - first.min(l.phase_w));
     for (flat, y) in rows {
         let Some(row) = l.rows.get(y * l.stride.0 + a).copied().flatten() else { continue };
         let out = &mut out[(row - first_row) * width..][..width];
-        for (x, &f) in flat[..l.phase_w].iter().enumerate() {
-            if let Some(c) = l.cols.get(x * step + b).copied().flatten() {
-                out[c] += f;
+        let (inside, flat_inside) = (&mut out[from.min(width)..], &flat[first..][..inner]);
+        if step == 2 {
+            // The step of nearly all convolutions, in whole pairs: the compiler makes vectors of it.
+            let (pairs, last) = inside.as_chunks_mut::<2>();
+            pairs.iter_mut().zip(flat_inside).for_each(|(pair, &f)| pair[0] += f);
+            last.iter_mut().zip(&flat_inside[pairs.len().min(inner)..]).for_each(|(d, &f)| *d += f);
+        } else {
+            inside.chunks_mut(step).zip(flat_inside).for_each(|(d, &f)| d[0] += f);
+        }
+        if l.pad_mode != PadMode::Zero {
+            for x in (0..first).chain(first + inner..l.phase_w) {
+                if let Some(c) = l.cols.get(x * step + b).copied().flatten() {
+                    out[c] += flat[x];
+                }
             }
         }
     }
