@@ -41,6 +41,7 @@ pub fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], poo
                 len,
                 out: &mut scratch,
                 width: unit.width,
+                add: false,
             });
             for (out, flat) in unit.out.iter_mut().zip(scratch.chunks_exact(row_pitch)) {
                 let rows = flat.chunks(pitch).zip(start..end);
@@ -54,6 +55,21 @@ pub fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], poo
         pool.give(scratch);
     });
     pool.give(bordered);
+}
+
+/// Adds the gradients of a phase of the padded input to the input positions that the padding read. The first phase fills `dx`.
+pub fn fold_phase<T: Scalar>(l: &Layout, phase: usize, gradients: &[T], dx: &mut [T]) {
+    par::for_each_chunk(dx, l.input.plane(), |i, dx| {
+        let rows = gradients[i * l.phase_len()..][..l.phase_len()].chunks_exact(l.phase_w).zip(0..l.phase_h);
+        if l.is_dense() {
+            store_dense(l, rows, 0, dx);
+            return;
+        }
+        if phase == 0 {
+            dx.fill(T::ZERO);
+        }
+        add_phase(l, phase, rows, 0, dx);
+    });
 }
 
 /// Writes rows of the padded gradient to the input positions that the padding read, each for the first time from the image itself.

@@ -16,13 +16,19 @@
 //! | 3x3 32-16, 96x320 | Winograd 133 / 143 / 132 | direct 121 / 117, strips 120; planes for the weights 84 |
 //! | 3x3 stride 2 64-128, 48x160 | direct 117 / 82, strips 127 | |
 //! | 7x7 stride 2 3-64, 192x640 | direct 132 / 55, strips 104 | |
+//! | 3x3 128-128, 2x6, 4 images | columns 94 / 98 | direct 64 / 45 |
+//! | 3x3 64-64, 4x12, 4 images | columns 105 / 106 | direct 97 / 96 |
+//! | 3x3 stride 2 64-128, 4x12, 4 images | columns 72 / 35 | direct 53 / 30 |
+//! | 3x3 stride 2 32-64, 8x24, 4 images | columns 78, direct 52 | direct 70, columns 44 |
+//! | 3x3 256-256, 6x20 | direct 136 / 122 | columns 125 / 122 |
 //!
-//! A column matrix has nine times the size of the image and must be written and read besides, so a product pays only where the
-//! input is its column matrix already. Winograd's transforms of the weights pay only over many tiles, those of the tiles only
-//! over many channels. In the gradient of the weights it is the transform of the sums that few tiles pay for, and it costs less than
-//! the copies of the direct way: a map of one tile is twice as fast. What counts there is that strips of 16 channels are full: 24-24
-//! and 20-64 gain nothing, 17-17 loses a third. In the direct gradient of the weights, more than 8 outputs go in strips, whose products reach 140 to 160
-//! alone; up to 8 go by planes, which have nothing to transpose but reach 105.
+//! A column matrix has nine times the size of the image and must be written and read besides: even in the second-level cache it
+//! pays only where rows are so short that they leave most of the direct product's registers empty, or where the input is its
+//! column matrix already. Winograd's transforms of the weights pay only over many tiles, those of the tiles only over many
+//! channels. In the gradient of the weights it is the transform of the sums that few tiles pay for, and it costs less than the
+//! copies of the direct way: a map of one tile is twice as fast. What counts there is that strips of 16 channels are full: 24-24 and
+//! 20-64 gain nothing, 17-17 loses a third. In the direct gradient of the weights, more than 8 outputs go in strips, whose products
+//! reach 140 to 160 alone; up to 8 go by planes, which have nothing to transpose but reach 105.
 
 use super::layout::Layout;
 use super::winograd_weight_kernels::STRIP;
@@ -36,6 +42,8 @@ pub enum Algorithm {
     Depthwise,
     /// 16 products for four outputs: 3 x 3, stride 1, no dilation, one group, many channels.
     Winograd,
+    /// A product with column matrices: few positions.
+    Columns,
     /// Shifted planes times broadcast weights: everything else.
     Direct,
 }
@@ -50,6 +58,8 @@ pub fn algorithm(l: &Layout) -> Algorithm {
         Algorithm::Depthwise
     } else if pays_winograd(l) {
         Algorithm::Winograd
+    } else if pays_columns(l) {
+        Algorithm::Columns
     } else {
         Algorithm::Direct
     }
@@ -69,4 +79,14 @@ pub fn pays_winograd_weight(l: &Layout) -> bool {
     // With fewer channels, tiles cost more than they save; strips that are filled up cost as much as full ones.
     let (pairs, filled) = (l.cin * l.cout, l.cin.next_multiple_of(STRIP) * l.cout.next_multiple_of(STRIP));
     l.is_winograd() && pairs >= 512 && 3 * pairs >= 2 * filled
+}
+
+/// Whether a column matrix is faster: of few positions, for many sums. Those of one image are counted, as for Winograd's scheme.
+fn pays_columns(l: &Layout) -> bool {
+    l.groups == 1 && l.cout >= 16 && l.cin >= 16 && l.output.plane() <= 64
+}
+
+/// Whether it is so for the gradient of the input, too: the phases of a stride have few taps, each with a fold of its own.
+pub fn pays_columns_backward(l: &Layout) -> bool {
+    l.is_dense() || l.phase_len() <= 32
 }

@@ -60,6 +60,8 @@ pub struct Direct<'a, T> {
     pub out: &'a mut [T],
     /// Channels of the block: 8, 4, 2 or 1.
     pub width: usize,
+    /// Whether to add to `out` rather than to fill it.
+    pub add: bool,
 }
 
 /// `len` rounded up so that whole registers can be stored.
@@ -132,7 +134,7 @@ fn tile<T: Scalar, S: Simd, const O: usize, const V: usize>(
     let lanes = T::lanes::<S>();
     let pitch = d.out.len() / d.width;
     let mut acc = [[T::splat(simd, T::ZERO); V]; O];
-    if begin > 0 {
+    if begin > 0 || d.add {
         unroll!(K in 0 1 2 3 4 5 6 7 => {
             if K < O {
                 let row = &d.out[(first + K) * pitch + pos..][..V * lanes];

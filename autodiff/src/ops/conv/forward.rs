@@ -42,6 +42,7 @@ pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool
             len,
             out: &mut scratch,
             width: unit.width,
+            add: false,
         });
         for (o, (out, flat)) in unit.out.iter_mut().zip(scratch.chunks_exact(pitch)).enumerate() {
             let b = bias.map_or(T::ZERO, |b| b[first + o]);

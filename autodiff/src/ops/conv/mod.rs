@@ -2,6 +2,7 @@
 
 mod backward_input;
 mod choice;
+pub mod columns;
 pub mod depthwise;
 pub mod direct;
 mod forward;
@@ -17,7 +18,7 @@ pub mod winograd_weight_kernels;
 
 use std::sync::Arc;
 
-use choice::{Algorithm, algorithm};
+use choice::{Algorithm, algorithm, pays_columns_backward};
 use layout::Layout;
 
 use crate::{Pool, Scalar};
@@ -28,6 +29,7 @@ pub(super) fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]
         Algorithm::Pointwise => pointwise::forward(l, x, w, bias, pool),
         Algorithm::Depthwise => depthwise::forward(l, x, w, bias, pool),
         Algorithm::Winograd => winograd::forward(l, x, w, bias, pool),
+        Algorithm::Columns => columns::forward(l, x, w, bias, pool),
         Algorithm::Direct => forward::forward(l, x, w, bias, pool),
     }
 }
@@ -38,7 +40,8 @@ pub(super) fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [
         Algorithm::Pointwise => pointwise::backward_input(l, g, w, dx),
         Algorithm::Depthwise => depthwise::backward_input(l, g, w, dx, pool),
         Algorithm::Winograd => winograd::backward_input(l, g, w, dx, pool),
-        Algorithm::Direct => backward_input::backward_input(l, g, w, dx, pool),
+        Algorithm::Columns if pays_columns_backward(l) => columns::backward_input(l, g, w, dx, pool),
+        Algorithm::Columns | Algorithm::Direct => backward_input::backward_input(l, g, w, dx, pool),
     }
 }
 
@@ -48,7 +51,7 @@ pub(super) fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut 
         Algorithm::Pointwise => pointwise::backward_weight(l, x, g, dw),
         Algorithm::Depthwise => depthwise::backward_weight(l, x, g, dw, pool),
         _ if choice::pays_winograd_weight(l) => winograd_weight::backward_weight(l, x, g, dw, pool),
-        Algorithm::Winograd | Algorithm::Direct => weight::backward_weight(l, x, g, dw, pool),
+        Algorithm::Winograd | Algorithm::Columns | Algorithm::Direct => weight::backward_weight(l, x, g, dw, pool),
     }
 }
 
@@ -58,6 +61,9 @@ pub trait ConvScalar: Sized {
     /// Runs a direct product.
     #[doc(hidden)]
     fn run_direct(task: direct::Direct<'_, Self>);
+    /// Makes rows of a column matrix.
+    #[doc(hidden)]
+    fn run_gather(task: columns::Gather<'_, Self>);
     /// Runs a plane by plane convolution.
     #[doc(hidden)]
     fn run_rows(task: depthwise::Rows<'_, Self>);
@@ -97,6 +103,9 @@ macro_rules! conv_scalar {
     ($t:ident) => {
         impl ConvScalar for $t {
             fn run_direct(task: direct::Direct<'_, Self>) {
+                task.run();
+            }
+            fn run_gather(task: columns::Gather<'_, Self>) {
                 task.run();
             }
             fn run_rows(task: depthwise::Rows<'_, Self>) {

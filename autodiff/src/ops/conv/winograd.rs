@@ -9,7 +9,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::backward_input::store_dense;
+use super::backward_input::fold_phase;
 use super::layout::{Layout, source_indices};
 use super::winograd_kernels::{BLOCK, GROUP, Inputs, Outputs, PRODUCTS, Products, Weights};
 use crate::{PadMode, Pool, Scalar, par};
@@ -68,13 +68,9 @@ pub fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], poo
         task.run(dx, pool);
         return;
     }
-    let plane = out_size[0] * out_size[1];
-    let mut padded = pool.take(l.input.planes() * plane);
+    let mut padded = pool.take(l.input.planes() * out_size[0] * out_size[1]);
     task.run(&mut padded, pool);
-    par::for_each_chunk(dx, l.input.plane(), |i, dx| {
-        let rows = padded[i * plane..][..plane].chunks_exact(out_size[1]).zip(0..out_size[0]);
-        store_dense(l, rows, 0, dx);
-    });
+    fold_phase(l, 0, &padded, dx);
     pool.give(padded);
 }
 
