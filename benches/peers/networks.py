@@ -1,6 +1,7 @@
 """Depth and pose networks of Monodepth2: ResNet-18 encoders, depth decoder, pose decoder.
 
-Parameters have the names of the reference checkpoints, in four files: `encoder`, `depth`, `pose_encoder`, `pose`.
+Parameters have the names of the reference checkpoints, in four files: `encoder`, `depth`, `pose_encoder`, `pose`. Sums and
+activations are in place where torchvision and Monodepth2 have them so: everywhere but in the pose decoder.
 """
 
 import torch
@@ -20,9 +21,10 @@ class BasicBlock(nn.Module):
             self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
 
     def forward(self, x):
-        y = F.relu(self.bn1(self.conv1(x)))
+        y = F.relu(self.bn1(self.conv1(x)), inplace=True)
         y = self.bn2(self.conv2(y))
-        return F.relu(y + (x if self.downsample is None else self.downsample(x)))
+        y += x if self.downsample is None else self.downsample(x)
+        return F.relu(y, inplace=True)
 
 
 class ResNet18(nn.Module):
@@ -37,7 +39,7 @@ class ResNet18(nn.Module):
             setattr(self, f"layer{i + 1}", nn.Sequential(first, BasicBlock(widths[i + 1], widths[i + 1], 1)))
 
     def forward(self, images):
-        features = [F.relu(self.bn1(self.conv1((images - 0.45) / 0.225)))]
+        features = [F.relu(self.bn1(self.conv1((images - 0.45) / 0.225)), inplace=True)]
         x = F.max_pool2d(features[0], 3, 2, 1)
         for layer in (self.layer1, self.layer2, self.layer3, self.layer4):
             x = layer(x)
@@ -64,7 +66,7 @@ class Unit(nn.Module):
         self.conv = ReflectConv(inputs, outputs)
 
     def forward(self, x):
-        return F.elu(self.conv(x))
+        return F.elu(self.conv(x), inplace=True)
 
 
 class DepthDecoder(nn.Module):

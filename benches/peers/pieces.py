@@ -51,8 +51,8 @@ def batch_norm_relu(case, store, inputs):
 
 
 def batch_norm_skip_relu(case, store, inputs):
-    """As the networks have it: the sum is a map of its own, the activation in place."""
-    return batch_norm(case, store, inputs, lambda y: F.relu(y + inputs[1], inplace=True))
+    """As the networks have it: sum and activation in place."""
+    return batch_norm(case, store, inputs, lambda y: F.relu(y.add_(inputs[1]), inplace=True))
 
 
 def plain(function):

@@ -83,8 +83,9 @@ pub fn instructions() -> String {
     format!("{:?}", Arch::new()).split('(').next().unwrap_or_default().to_owned()
 }
 
-/// Share of the processors that other programs took in the last minute, as the system says.
-pub fn load() -> Option<f64> {
+/// The load average: threads that ran or waited to run in the last minute, of all programs, this one too; `None` where the system
+/// does not say. More than there are processors means that programs waited for one another.
+pub fn load_average() -> Option<f64> {
     fs::read_to_string("/proc/loadavg").ok()?.split(' ').next()?.parse().ok()
 }
 

@@ -186,9 +186,9 @@ fn measure(arguments: &Arguments, chosen: &[Topic], python: &Path, peers: &mut P
 
 fn machine_text(peers: &Peers, arguments: &Arguments) -> String {
     let version = peers.values().next().map_or("?", |peer| peer.version.as_str());
-    let load = machine::load().map_or("?".to_owned(), |load| format!("{load:.1}"));
+    let load = machine::load_average().map_or("?".to_owned(), |load| format!("{load:.1}"));
     format!(
-        "{} ({}), load {load}; PyTorch {version}; {} rounds, threads {:?}; numbers agreed before anything was timed.\n",
+        "{} ({}), load average {load}; PyTorch {version}; {} rounds, threads {:?}; numbers agreed before anything was timed.\n",
         machine::processor(),
         machine::instructions(),
         arguments.rounds(),
