@@ -49,6 +49,14 @@ pub const SHAPES: [ConvCase; 16] = [
     shape("depthwise 3x3 dilation 2 64 48x160", [1, 64, 64, 48, 160, 3, 1, 2, 2, 64]),
 ];
 
+/// As many multiplications as the 128-128 of the list, but the taps lie apart: the direct kernel's own speed, since Winograd's
+/// scheme needs neighbours.
+pub const DIRECT: ConvCase = shape("3x3 dilation 2 128-128 24x80", [1, 128, 128, 24, 80, 3, 1, 2, 2, 1]);
+
+/// Share of the definition's multiplications that Winograd's scheme F(2x2, 3x3) executes in its products, its transforms left
+/// out: 16 for four outputs where the definition has 36.
+pub const WINOGRAD_SHARE: f64 = 16.0 / 36.0;
+
 const fn shape(name: &'static str, sizes: [usize; 10]) -> ConvCase {
     let [batch, inputs, outputs, height, width, kernel, stride, padding, dilation, groups] = sizes;
     ConvCase { name, batch, inputs, outputs, height, width, kernel, stride, padding, dilation, groups }
@@ -65,10 +73,38 @@ impl ConvCase {
         self.inputs == 3
     }
 
-    /// Floating-point operations forward.
+    /// Floating-point operations forward, as the definition counts them.
     pub fn flops(&self) -> f64 {
         let out = self.options().output_shape(self.input_shape(), self.weight_shape());
         2.0 * out.len() as f64 * (self.inputs / self.groups * self.kernel * self.kernel) as f64
+    }
+
+    /// Floating-point operations that the products execute forward: fewer where the shape goes by Winograd's scheme.
+    pub fn executed_flops(&self) -> f64 {
+        self.flops() * if self.goes_by_winograd() { WINOGRAD_SHARE } else { 1.0 }
+    }
+
+    /// Whether the convolution goes by Winograd's scheme here.
+    ///
+    /// Nothing public tells, but the numbers do. Weights of one in the middle return the input, and so does every sum of products,
+    /// whatever its order. The scheme adds neighbours first: beside large ones, small ones are lost.
+    pub fn goes_by_winograd(&self) -> bool {
+        if (self.kernel, self.stride, self.padding, self.dilation, self.groups) != (3, 1, 1, 1, 1) {
+            return false;
+        }
+        let one = Self { batch: 1, ..self.clone() };
+        let (xs, ws) = (one.input_shape(), one.weight_shape());
+        let column = |i: usize| if (i % self.width).is_multiple_of(2) { 1.0_f32 } else { 1e9 };
+        let x: Vec<f32> = (0..xs.len()).map(column).collect();
+        let mut weight = vec![0.0; ws.len()];
+        for o in 0..self.outputs {
+            weight[(o * self.inputs + o % self.inputs) * 9 + 4] = 1.0;
+        }
+        let tape = Tape::new();
+        let [x, weight] = [(xs, x), (ws, weight)].map(|(shape, data)| tape.constant(Tensor::from_vec(shape, data)));
+        let (x, y) = (x.value(), x.conv2d(weight, None, one.options()).value());
+        let plane = self.height * self.width;
+        y.data().chunks(plane).any(|y| y != &x.data()[..plane])
     }
 
     /// Bytes that must be read or written forward: input, weight, output.
@@ -175,5 +211,19 @@ impl Ours for Conv {
             results.tensors.push((name.into(), gradient.expect("it was wanted"), 1e-4));
         }
         results
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_neighbouring_taps_of_many_channels_go_by_winograd() {
+        let of = |name: &str| SHAPES.into_iter().find(|case| case.name == name).expect("a shape of the list");
+        assert!(of("3x3 128-128 24x80").goes_by_winograd());
+        let direct = [of("3x3 8-8 64x192 b4"), of("3x3 16-1 192x640"), of("3x3 stride 2 64-128 48x160"), DIRECT];
+        assert!(direct.iter().all(|case| !case.goes_by_winograd() && case.executed_flops() == case.flops()));
+        assert_eq!(DIRECT.flops(), of("3x3 128-128 24x80").flops());
     }
 }

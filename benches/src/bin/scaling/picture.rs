@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use dimode::report::svg::{Chart, Series, Stroke, escape};
+use dimode_benches::ours::conv::WINOGRAD_SHARE;
 
 use super::Speeds;
 
@@ -16,7 +17,7 @@ pub struct Panel {
     pub lines: Vec<Line>,
 }
 
-/// Times of one number of threads and their lower bound, milliseconds.
+/// Times of one number of threads, and those at the speeds of the machine, milliseconds.
 pub struct Line {
     /// Name in the legend.
     pub name: String,
@@ -24,7 +25,7 @@ pub struct Line {
     pub colour: usize,
     /// Measured times.
     pub measured: Vec<(f64, f64)>,
-    /// Lower bound.
+    /// At the speeds of the machine, operations counted as defined.
     pub bound: Vec<(f64, f64)>,
 }
 
@@ -34,8 +35,10 @@ pub struct Spot {
     pub name: String,
     /// Operations per byte that must be moved.
     pub intensity: f64,
-    /// Operations a second.
+    /// Operations a second, as the definition counts them.
     pub speed: f64,
+    /// Operations a second that were executed: fewer where it goes by Winograd's scheme.
+    pub executed: f64,
 }
 
 /// Computations below the roofs of the machine.
@@ -64,7 +67,8 @@ pub fn draw(panels: &[Panel], roofline: &Roofline, machine: &str) -> String {
     let mut out = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\">\
          <style>{STYLE}</style><rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\
-         <text class=\"tick\" x=\"12\" y=\"17\">{}; dashed: lower bounds by the speeds of this machine</text>",
+         <text class=\"tick\" x=\"12\" y=\"17\">{}; dashed: at this machine's speeds, \
+         operations as defined; Winograd's scheme executes 16/36 of them and may go below</text>",
         escape(machine)
     );
     for (i, panel) in panels.iter().enumerate() {
@@ -111,37 +115,48 @@ fn draw_panel(panel: &Panel, at: (f64, f64), out: &mut String) {
 fn draw_roofline(roofline: &Roofline, at: (f64, f64), (width, height): (f64, f64), out: &mut String) {
     let speeds = roofline.speeds;
     let most = roofline.spots.iter().map(|spot| spot.intensity).fold(1.0, f64::max).log2().ceil();
-    let roof = |bandwidth: f64| -> Vec<(f64, f64)> {
-        let ridge = (speeds.flops / bandwidth).log2();
+    // Counted as defined, Winograd's scheme could do this at most.
+    let beyond = speeds.flops / WINOGRAD_SHARE;
+    let roof = |bandwidth: f64, flops: f64| -> Vec<(f64, f64)> {
+        let ridge = (flops / bandwidth).log2();
         let mut xs = vec![0.0, ridge, most];
         xs.sort_by(f64::total_cmp);
-        xs.into_iter().filter(|x| (0.0..=most).contains(x)).map(|x| (x, speeds.flops.min(bandwidth * x.exp2()) / 1e9)).collect()
+        xs.into_iter().filter(|x| (0.0..=most).contains(x)).map(|x| (x, flops.min(bandwidth * x.exp2()) / 1e9)).collect()
     };
     let mut chart = Chart::new("Roofline", "flops per byte that must be moved, as a power of 2", "Gflop/s");
     chart.log_y = true;
     // The right part is for the names.
     chart.size = (width - 250.0, height);
     for (name, colour, bandwidth) in [("memory", 0, speeds.memory), ("second-level cache", 1, speeds.cache)] {
-        chart.series.push(Series { name: name.into(), colour, stroke: Stroke::Strong, points: roof(bandwidth) });
+        chart.series.push(Series { name: name.into(), colour, stroke: Stroke::Strong, points: roof(bandwidth, speeds.flops) });
     }
+    let points = roof(speeds.cache, beyond);
+    chart.series.push(Series { name: "Winograd".into(), colour: 2, stroke: Stroke::Dashed, points });
     for (i, spot) in roofline.spots.iter().enumerate() {
         chart.dots.push((spot.intensity.log2(), spot.speed / 1e9, (i + 1).to_string()));
     }
     // Axes go around the lines, so the dots need one too.
     let lowest = roofline.spots.iter().map(|spot| spot.speed / 1e9).fold(speeds.flops / 1e9, f64::min);
-    chart.y_range = Some((0.7 * lowest.min(speeds.memory / 1e9), 1.3 * speeds.flops / 1e9));
-    let title = format!("Convolutions forward under the roofs of {} threads", speeds.threads);
-    let legend = [("memory bandwidth".to_owned(), 0), ("second-level cache".to_owned(), 1)];
+    chart.y_range = Some((0.7 * lowest.min(speeds.memory / 1e9), 1.3 * beyond / 1e9));
+    let title =
+        format!("Convolutions forward under the roofs of {} threads; list: share of the multiply-add peak", speeds.threads);
+    let legend = [
+        ("memory bandwidth".to_owned(), 0),
+        ("second-level cache".to_owned(), 1),
+        ("Winograd's scheme, operations as defined (dashed)".to_owned(), 2),
+    ];
     place(out, &title, &legend, at, &chart);
     for (i, spot) in roofline.spots.iter().enumerate() {
-        let share = 100.0 * spot.speed / speeds.flops;
+        let share = |x: f64| format!("{:.0} %", 100.0 * x / speeds.flops);
+        let executed = if spot.executed < spot.speed { format!(", {} executed", share(spot.executed)) } else { String::new() };
         let _ = write!(
             out,
-            "<text class=\"tick\" x=\"{}\" y=\"{}\">{}  {}: {share:.0} % of the peak</text>",
+            "<text class=\"tick\" x=\"{}\" y=\"{}\">{}  {}: {}{executed}</text>",
             width - 245.0,
             at.1 + HEAD + 20.0 + 17.0 * i as f64,
             i + 1,
-            escape(&spot.name)
+            escape(&spot.name),
+            share(spot.speed)
         );
     }
 }
