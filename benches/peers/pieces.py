@@ -50,9 +50,29 @@ def batch_norm_relu(case, store, inputs):
     return batch_norm(case, store, inputs, lambda y: F.relu(y, inplace=True))
 
 
+def batch_norm_elu(case, store, inputs):
+    """In place, too."""
+    return batch_norm(case, store, inputs, lambda y: F.elu(y, inplace=True))
+
+
 def batch_norm_skip_relu(case, store, inputs):
     """As the networks have it: sum and activation in place."""
     return batch_norm(case, store, inputs, lambda y: F.relu(y.add_(inputs[1]), inplace=True))
+
+
+def conv_elu(case, store, inputs):
+    """3x3 convolution over a reflected border with ELU, as Monodepth2's decoder has it; weight and bias take a gradient too."""
+    channels = case["shapes"][0][1]
+    conv = torch.nn.Conv2d(channels, channels, 3)
+    with torch.no_grad():
+        conv.weight.copy_(store.normal("weight", tuple(conv.weight.shape), (9 * channels) ** -0.5))
+        conv.bias.copy_(store.normal("bias", tuple(conv.bias.shape)))
+
+    def run():
+        conv.weight.grad = conv.bias.grad = None
+        return F.elu(conv(F.pad(inputs[0], (1, 1, 1, 1), mode="reflect")), inplace=True)
+
+    return run
 
 
 def plain(function):
@@ -63,6 +83,8 @@ def plain(function):
 OPS = {
     "batch_norm": batch_norm,
     "batch_norm_relu": batch_norm_relu,
+    "batch_norm_elu": batch_norm_elu,
+    "conv_elu": conv_elu,
     "batch_norm_skip_relu": batch_norm_skip_relu,
     "resize": plain(lambda x: F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)),
     "elu": plain(F.elu),

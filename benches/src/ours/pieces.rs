@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
-use dimode_autodiff::{Activation, Pool, Shape, Tape, Tensor, Var};
+use dimode_autodiff::{Activation, Conv2d, PadMode, Pool, Shape, Tape, Tensor, Var};
 use serde_json::{Value, json};
 
 use crate::case::{Case, Ours, Results, seeded, timed};
@@ -24,11 +24,14 @@ const fn piece(name: &'static str, op: &'static str, shapes: &'static [[usize; 4
 }
 
 /// What the networks have beside convolutions.
-pub const PIECES: [PieceCase; 14] = [
+pub const PIECES: [PieceCase; 17] = [
     piece("batch norm 64 48x160", "batch_norm", &[[1, 64, 48, 160]]),
     piece("batch norm 64 48x160 b4", "batch_norm", &[[4, 64, 48, 160]]),
     piece("batch norm 32 32x96 b4", "batch_norm", &[[4, 32, 32, 96]]),
     piece("batch norm + ReLU 64 48x160", "batch_norm_relu", &[[1, 64, 48, 160]]),
+    piece("batch norm + ELU 64 48x160", "batch_norm_elu", &[[1, 64, 48, 160]]),
+    piece("convolution + bias + ELU 32 96x320", "conv_elu", &[[1, 32, 96, 320]]),
+    piece("convolution + bias + ELU 16 32x96 b4", "conv_elu", &[[4, 16, 32, 96]]),
     piece("batch norm + skip + ReLU 64 48x160", "batch_norm_skip_relu", &[[1, 64, 48, 160], [1, 64, 48, 160]]),
     piece("batch norm + skip + ReLU 32 32x96 b4", "batch_norm_skip_relu", &[[4, 32, 32, 96], [4, 32, 32, 96]]),
     piece("ELU 16 192x640", "elu", &[[1, 16, 192, 640]]),
@@ -84,6 +87,10 @@ impl Case for PieceCase {
             let channels = Shape::new(1, self.shapes[0][1], 1, 1);
             operands.extend([inputs.tensor("scale", channels)?, inputs.tensor("offset", channels)?]);
         }
+        if self.op == "conv_elu" {
+            let c = self.shapes[0][1];
+            operands.extend([inputs.tensor("weight", Shape::new(c, c, 3, 3))?, inputs.tensor("bias", Shape::new(1, c, 1, 1))?]);
+        }
         Ok(Box::new(Piece {
             op: self.op,
             operands,
@@ -106,6 +113,12 @@ struct Piece {
 fn apply<'t>(op: &str, x: &[Var<'t, f32>]) -> Var<'t, f32> {
     match op {
         "batch_norm_relu" => x[0].batch_norm_train_activated(x[1], x[2], 1e-5, None, Activation::Relu).y,
+        "batch_norm_elu" => x[0].batch_norm_train_activated(x[1], x[2], 1e-5, None, Activation::Elu).y,
+        // Over a reflected border, as the depth decoder has it.
+        "conv_elu" => {
+            let options = Conv2d { pad_mode: PadMode::Reflect, ..Conv2d::new(1, 1) };
+            x[0].conv2d_activated(x[1], Some(x[2]), options, Activation::Elu)
+        }
         "batch_norm_skip_relu" => x[0].batch_norm_train_activated(x[2], x[3], 1e-5, Some(x[1]), Activation::Relu).y,
         "resize" => x[0].resize_bilinear(2 * x[0].shape().h(), 2 * x[0].shape().w(), false),
         "batch_norm" => x[0].batch_norm_train(x[1], x[2], 1e-5).y,
