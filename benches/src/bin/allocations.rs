@@ -7,8 +7,8 @@ use std::alloc::System;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use dimode_autodiff::par;
-use dimode_benches::ours::loss_core::LossCase;
-use dimode_benches::ours::step::StepCase;
+use dimode_benches::ours::counted;
+use dimode_benches::timing::{ends, median};
 use dimode_benches::{Case, Inputs};
 use serde_json::{Value, json};
 use tracking_allocator::{AllocationGroupId, AllocationRegistry, AllocationTracker, Allocator};
@@ -35,38 +35,44 @@ impl AllocationTracker for Count {
 }
 
 /// Repetitions before those that are counted.
-const WARM: usize = 3;
-/// Repetitions that are counted; the one that takes least is told.
-const COUNTED: usize = 3;
+const WARM: usize = 5;
+/// Repetitions that are counted.
+const COUNTED: usize = 20;
 
+/// `allocations [THREADS [PART_OF_A_NAME]]`
 fn main() {
     AllocationRegistry::set_global_tracker(Count).expect("the only tracker");
     AllocationRegistry::enable_tracking();
-    let threads = std::env::args().nth(1).and_then(|text| text.parse().ok()).unwrap_or(2);
-    let cases: [(Box<dyn Case>, &str); 4] = [
-        (Box::new(StepCase::monodepth2(1)), "step"),
-        (Box::new(StepCase::nano(4)), "step"),
-        (Box::new(LossCase::new(1, 192, 640)), "geom"),
-        (Box::new(LossCase::new(1, 192, 640)), "photo"),
-    ];
-    let found: Vec<Value> = cases.iter().map(|(case, what)| count(case.as_ref(), what, threads)).collect();
+    let mut arguments = std::env::args().skip(1);
+    let threads = arguments.next().and_then(|text| text.parse().ok()).unwrap_or(2);
+    let only = arguments.next().unwrap_or_default();
+    let cases = counted();
+    let wanted = cases.iter().filter(|(case, _)| case.name().contains(&only));
+    let found: Vec<Value> = wanted.map(|(case, what)| count(case.as_ref(), what, threads)).collect();
     println!("{}", Value::from(found));
 }
 
-/// What one repetition allocates in steady state.
+/// What one repetition allocates in steady state: the middle of all that were counted, and the most in one of them.
 fn count(case: &dyn Case, what: &str, threads: usize) -> Value {
     let mut ours = case.build(&Inputs::Drawn).expect("drawn inputs are always there");
-    let taken = par::with_threads(threads, || {
+    // Room before, so that the list itself is not counted.
+    let mut counted: Vec<[u64; 3]> = Vec::with_capacity(COUNTED);
+    par::with_threads(threads, || {
         for _ in 0..WARM {
             ours.repetition(what);
         }
-        let counted = (0..COUNTED).map(|_| {
+        for _ in 0..COUNTED {
             COUNTERS.iter().for_each(|counter| counter.store(0, Relaxed));
             ours.repetition(what);
-            COUNTERS.each_ref().map(|counter| counter.load(Relaxed))
-        });
-        counted.min().expect("at least one repetition")
+            counted.push(COUNTERS.each_ref().map(|counter| counter.load(Relaxed)));
+        }
     });
-    let [bytes, allocations, large] = taken;
-    json!({"case": case.name(), "what": what, "bytes": bytes, "allocations": allocations, "large": large})
+    let [bytes, allocations, large] = [0, 1, 2].map(|k| {
+        let numbers: Vec<f64> = counted.iter().map(|numbers| numbers[k] as f64).collect();
+        json!({"median": median(&numbers), "most": ends(&numbers).1})
+    });
+    json!({
+        "case": case.name(), "what": what, "threads": threads, "repetitions": COUNTED,
+        "bytes": bytes, "allocations": allocations, "large": large
+    })
 }

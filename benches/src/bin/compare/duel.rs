@@ -48,7 +48,7 @@ pub struct Effort {
 /// One comparison: the same computation here and there.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// Kind of the case.
+    /// Topic that it was asked for, by its name on the command line.
     pub topic: String,
     /// Name of the case.
     pub case: String,
@@ -69,6 +69,11 @@ pub struct Row {
 }
 
 impl Row {
+    /// Whether both sides computed the same: without that the times mean nothing.
+    pub fn agrees(&self) -> bool {
+        self.difference <= 1.0
+    }
+
     /// The median of the ratios.
     pub fn ratio(&self) -> f64 {
         median(&self.ratios)
@@ -83,16 +88,34 @@ impl Row {
 /// The running peers.
 pub type Peers = HashMap<&'static str, Peer>;
 
-/// Builds a case on both sides, compares the numbers, then lets both run in turn. Variants that the peer cannot run are told and
-/// left out.
+/// What came of a case.
+#[derive(Debug, Default)]
+pub struct Outcome {
+    /// The comparisons.
+    pub rows: Vec<Row>,
+    /// Variants that the peer could not run, with the reason.
+    pub left_out: Vec<String>,
+    /// Variants whose numbers differ, with the numbers.
+    pub differing: Vec<String>,
+}
+
+/// Builds a case on both sides, compares the numbers, then lets both run in turn. Variants that the peer cannot run are left out
+/// and told; those whose numbers differ are timed all the same, and marked.
 ///
 /// # Errors
-/// When the numbers differ, or the peer is gone.
-pub fn duel(case: &dyn Case, variants: &[Variant], effort: &Effort, folder: &Path, peers: &mut Peers) -> Result<Vec<Row>> {
+/// When the peer is gone, or an input is missing.
+pub fn duel(
+    topic: &str,
+    case: &dyn Case,
+    variants: &[Variant],
+    effort: &Effort,
+    folder: &Path,
+    peers: &mut Peers,
+) -> Result<Outcome> {
     for peer in peers.values_mut() {
         peer.ask(&json!({"do": "forget"}))?;
     }
-    let mut built = Vec::new();
+    let (mut built, mut outcome) = (Vec::new(), Outcome::default());
     let most = effort.threads.iter().copied().max().unwrap_or(1);
     for variant in variants {
         let key = variant.name();
@@ -103,17 +126,30 @@ pub fn duel(case: &dyn Case, variants: &[Variant], effort: &Effort, folder: &Pat
         });
         match peer.ask(&request) {
             Ok(answer) => built.push((variant, key, answer["values"].clone())),
-            Err(error) => eprintln!("  {}, {key}: left out, {error:#}", case.name()),
+            // One that has stopped cannot run the others either.
+            Err(error) if peer.has_stopped() => return Err(error.context(format!("{}, {key}", case.name()))),
+            Err(error) => {
+                outcome.left_out.push(format!("{}, {key}: {error:#}", case.name()));
+                eprintln!("  left out: {}, {key}: {error:#}", case.name());
+            }
         }
+    }
+    if built.is_empty() {
+        return Ok(outcome);
     }
     let of_case = folder.join(case.name());
     let mut ours = case.build(&Inputs::Folder(of_case.join("inputs")))?;
     let results = par::with_threads(most, || ours.results());
-    let differences = built
-        .iter()
-        .map(|(_, key, values)| agree(&results, &of_case.join(key), values).with_context(|| format!("{}, {key}", case.name())));
-    let differences: Vec<f64> = differences.collect::<Result<_>>()?;
-    let mut rows = Vec::new();
+    let mut differences = Vec::new();
+    for (_, key, values) in &built {
+        let found = agree(&results, &of_case.join(key), values);
+        if !found.refused.is_empty() {
+            let text = format!("{}, {key}: {}", case.name(), found.refused.join(", "));
+            eprintln!("  differs: {text}");
+            outcome.differing.push(text);
+        }
+        differences.push(found.difference);
+    }
     for &threads in &effort.threads {
         for &what in case.whats() {
             // One pool of threads for all rounds, so that what threads keep is kept, as in training.
@@ -121,7 +157,7 @@ pub fn duel(case: &dyn Case, variants: &[Variant], effort: &Effort, folder: &Pat
             for (((variant, ..), times), &difference) in built.iter().zip(times).zip(&differences) {
                 let [own, other] = [0, 1].map(|k| times.iter().map(|t| t[k]).collect::<Vec<_>>());
                 let row = Row {
-                    topic: case.topic().into(),
+                    topic: topic.into(),
                     case: case.name().into(),
                     what: what.into(),
                     variant: variant.name(),
@@ -131,22 +167,22 @@ pub fn duel(case: &dyn Case, variants: &[Variant], effort: &Effort, folder: &Pat
                     ratios: times.iter().map(|[own, other]| other / own).collect(),
                     difference,
                 };
-                let (low, high) = row.spread();
-                eprintln!(
-                    "  {} {what} {}t {:22} ours {:9.3} ms  theirs {:9.3} ms  ratio {:6.2} ({low:.2}..{high:.2})",
-                    row.case,
-                    threads,
-                    row.variant,
-                    row.ours,
-                    row.theirs,
-                    row.ratio()
-                );
-                rows.push(row);
+                tell(&row);
+                outcome.rows.push(row);
             }
         }
     }
     std::fs::remove_dir_all(of_case)?;
-    Ok(rows)
+    Ok(outcome)
+}
+
+fn tell(row: &Row) {
+    let ((low, high), ratio) = (row.spread(), row.ratio());
+    let mark = if row.agrees() { "" } else { "  differs" };
+    eprintln!(
+        "  {} {} {}t {:22} ours {:9.3} ms  theirs {:9.3} ms  ratio {ratio:6.2} ({low:.2}..{high:.2}){mark}",
+        row.case, row.what, row.threads, row.variant, row.ours, row.theirs
+    );
 }
 
 /// Medians of ours and theirs, milliseconds, for each variant and round. Our time is taken before and after each variant's, so

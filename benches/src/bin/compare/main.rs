@@ -7,23 +7,22 @@ mod duel;
 mod goals;
 mod memory;
 mod peer;
+mod report;
 mod rust_peers;
 mod tables;
 mod topics;
 
-use std::fmt::Write;
+use std::env;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::{env, fs};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Parser;
 use dimode_benches::machine;
-use serde_json::json;
 
-use duel::{Effort, Peers, Row};
+use duel::{Effort, Peers};
 use peer::{Allocator, Peer};
-use tables::Table;
+use report::Report;
 use topics::Topic;
 
 /// Times ours and PyTorch in turn on the same numbers.
@@ -50,10 +49,10 @@ struct Arguments {
     /// Also the Rust peers, which are built first (some minutes).
     #[arg(long)]
     rust_peers: bool,
-    /// Write everything that was measured to this file.
+    /// Write everything that was measured to this file, after every topic.
     #[arg(long)]
     json: Option<PathBuf>,
-    /// Write the tables to this file.
+    /// Write the tables to this file, after every topic.
     #[arg(long)]
     markdown: Option<PathBuf>,
     /// Python with torch; else $DIMODE_PYTHON, else python3.
@@ -67,6 +66,16 @@ struct Arguments {
 impl Arguments {
     fn rounds(&self) -> usize {
         if self.quick { self.rounds.min(3) } else { self.rounds }
+    }
+
+    /// Whether some of the cases will do: a first look, and none was asked for by name.
+    fn takes_some(&self) -> bool {
+        self.quick && self.only.is_none()
+    }
+
+    /// Whether a case of this name was asked for.
+    fn wants(&self, name: &str) -> bool {
+        self.only.as_ref().is_none_or(|part| name.contains(part.as_str()))
     }
 }
 
@@ -95,24 +104,16 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
             }
         }
     }
-    let chosen = topics::chosen(&arguments.topics, arguments.rust_peers);
-    let report = Report { machine: machine_text(&peers, arguments), ..measure(arguments, &chosen, &python, &mut peers)? };
-    let text = report.to_markdown();
-    println!("{text}");
-    if let Some(path) = &arguments.markdown {
-        fs::write(path, &text).with_context(|| format!("cannot write {}", path.display()))?;
+    let topics = topics::chosen(&arguments.topics, arguments.rust_peers);
+    let threads = arguments.threads.clone();
+    let mut report = Report { machine: machine_text(&peers, arguments), threads, topics, ..Report::default() };
+    let outcome = measure(arguments, &python, &mut peers, &mut report);
+    println!("{}", report.to_markdown());
+    outcome?;
+    for text in &report.differing {
+        eprintln!("compare: numbers differ: {text}");
     }
-    if let Some(path) = &arguments.json {
-        let all = json!({
-            "machine": report.machine,
-            "rows": report.rows,
-            "memory": report.peaks,
-            "allocations": report.allocations,
-            "shares": report.shares
-        });
-        fs::write(path, serde_json::to_string_pretty(&all)?).with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    Ok(ExitCode::SUCCESS)
+    Ok(if report.differing.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// What to do without PyTorch.
@@ -122,73 +123,60 @@ const MISSING: &str = "These comparisons need Python 3.10 or later with numpy an
     cargo run --release -p dimode-benches --bin compare -- --python torch-env/bin/python
 (or set DIMODE_PYTHON). Everything else in benches/ runs without.";
 
-/// Everything that a run measured.
-#[derive(Default)]
-struct Report {
-    machine: String,
-    tables: Vec<Table>,
-    rows: Vec<Row>,
-    peaks: Vec<memory::Peak>,
-    allocations: Vec<memory::Allocations>,
-    shares: Vec<topics::Share>,
-}
-
-impl Report {
-    fn to_markdown(&self) -> String {
-        let mut out = format!("{}\n", self.machine);
-        for table in self.tables.iter().filter(|table| !table.is_empty()) {
-            let _ = write!(out, "\n{}", table.to_markdown());
-        }
-        out
+/// Measures the topics of the report one after the other and writes it after each, also after one that failed.
+fn measure(arguments: &Arguments, python: &Path, peers: &mut Peers, report: &mut Report) -> Result<()> {
+    for topic in report.topics.clone() {
+        eprintln!("{}", topic.title());
+        let outcome = measure_topic(arguments, topic, python, peers, report);
+        report.save(arguments.markdown.as_deref(), arguments.json.as_deref())?;
+        outcome?;
     }
+    Ok(())
 }
 
-fn measure(arguments: &Arguments, chosen: &[Topic], python: &Path, peers: &mut Peers) -> Result<Report> {
+fn measure_topic(arguments: &Arguments, topic: Topic, python: &Path, peers: &mut Peers, report: &mut Report) -> Result<()> {
     let seconds = if arguments.quick { 0.03 } else { 0.1 };
     let effort = Effort { threads: arguments.threads.clone(), rounds: arguments.rounds(), seconds };
     let folder = tempfile::tempdir()?;
-    let only = |name: &str| arguments.only.as_ref().is_none_or(|part| name.contains(part.as_str()));
-    let mut report = Report::default();
-    for &topic in chosen {
-        eprintln!("{}", topic.title());
-        let mut rows = Vec::new();
-        for case in topic.cases(arguments.quick).iter().filter(|case| only(case.name())) {
+    let only = |name: &str| arguments.wants(name);
+    match topic {
+        Topic::Memory => {
+            for &threads in &arguments.threads {
+                report.peaks.extend(memory::measure(python, threads, arguments.takes_some(), &only)?);
+            }
+        }
+        Topic::Allocations => {
+            for &threads in &arguments.threads {
+                report.allocations.extend(memory::allocations(threads, arguments.only.as_deref().unwrap_or_default())?);
+            }
+        }
+        Topic::Peak => report.shares = topics::shares(&arguments.threads, &only)?,
+        Topic::RustPeers => {
+            let variants = rust_peers::variants();
+            for &threads in &arguments.threads {
+                peers.insert(Allocator::RustPeers.name(), rust_peers::start(threads)?);
+                let effort = Effort { threads: vec![threads], ..effort.clone() };
+                for case in rust_peers::cases(arguments.takes_some()).iter().filter(|case| only(case.name())) {
+                    report.add(duel::duel(&topic.key(), case.as_ref(), &variants, &effort, folder.path(), peers)?);
+                }
+                peers.remove(Allocator::RustPeers.name());
+            }
+        }
+        _ => {
             let variants = topic.variants(!arguments.quick && !arguments.no_compile);
-            rows.extend(duel::duel(case.as_ref(), &variants, &effort, folder.path(), peers)?);
-        }
-        if topic == Topic::RustPeers {
-            rows = rust_peers::compare(&effort, folder.path(), peers, &only, arguments.quick)?;
-            report.tables.push(rust_peers::best_table(&rows));
-        }
-        report.tables.extend(tables::of_rows(topic.title(), &rows));
-        report.rows.extend(rows);
-        match topic {
-            Topic::Memory => {
-                report.peaks = memory::measure(python, arguments.threads[0], arguments.quick)?;
-                report.tables.push(memory::table(&report.peaks));
+            for case in topic.cases(arguments.takes_some()).iter().filter(|case| only(case.name())) {
+                report.add(duel::duel(&topic.key(), case.as_ref(), &variants, &effort, folder.path(), peers)?);
             }
-            Topic::Allocations => {
-                report.allocations = memory::allocations(arguments.threads[0])?;
-                report.tables.push(memory::allocations_table(&report.allocations));
-            }
-            Topic::Peak => {
-                report.shares = topics::shares(&arguments.threads)?;
-                report.tables.push(topics::shares_table(&report.shares));
-            }
-            _ => {}
         }
     }
-    for &threads in &arguments.threads {
-        report.tables.insert(0, goals::table(&report.rows, threads));
-    }
-    Ok(report)
+    Ok(())
 }
 
 fn machine_text(peers: &Peers, arguments: &Arguments) -> String {
     let version = peers.values().next().map_or("?", |peer| peer.version.as_str());
     let load = machine::load_average().map_or("?".to_owned(), |load| format!("{load:.1}"));
     format!(
-        "{} ({}), load average {load}; PyTorch {version}; {} rounds, threads {:?}; numbers agreed before anything was timed.\n",
+        "{} ({}), load average {load}; PyTorch {version}; {} rounds, threads {:?}; numbers compared before anything was timed.\n",
         machine::processor(),
         machine::instructions(),
         arguments.rounds(),

@@ -1,7 +1,7 @@
 //! A process, PyTorch's as a rule, that waits for requests, one JSON object a line.
 
-use std::fs;
-use std::io::{BufRead, BufReader, Write};
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader, Read, Seek, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::thread::sleep;
@@ -47,6 +47,9 @@ pub struct Peer {
     child: Child,
     stdin: ChildStdin,
     stdout: BufReader<ChildStdout>,
+    /// What it complains of.
+    stderr: File,
+    stopped: bool,
     /// Version of its library.
     pub version: String,
 }
@@ -68,11 +71,13 @@ impl Peer {
     /// # Errors
     /// When it cannot be started or does not answer.
     pub fn spawn(mut command: Command) -> Result<Self> {
-        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null());
+        // A file, since nobody empties a pipe while both work.
+        let stderr = tempfile::tempfile().context("no temporary file")?;
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(stderr.try_clone()?);
         let mut child = command.spawn().with_context(|| format!("cannot start {}", command.get_program().display()))?;
         let stdin = child.stdin.take().context("no way to write to the peer")?;
         let stdout = BufReader::new(child.stdout.take().context("no way to read from the peer")?);
-        let mut peer = Self { child, stdin, stdout, version: String::new() };
+        let mut peer = Self { child, stdin, stdout, stderr, stopped: false, version: String::new() };
         let hello = peer.ask(&json!({"do": "hello"}))?;
         peer.version = hello["torch"].as_str().unwrap_or("?").to_owned();
         Ok(peer)
@@ -83,17 +88,41 @@ impl Peer {
     /// # Errors
     /// When the peer is gone or could not do it.
     pub fn ask(&mut self, request: &Value) -> Result<Value> {
-        writeln!(self.stdin, "{request}")?;
-        self.stdin.flush()?;
+        let sent = writeln!(self.stdin, "{request}").and_then(|()| self.stdin.flush());
         let mut line = String::new();
-        if self.stdout.read_line(&mut line)? == 0 {
-            bail!("the peer stopped");
+        if sent.is_err() || self.stdout.read_line(&mut line)? == 0 {
+            self.stopped = true;
+            bail!("the peer stopped{}", self.last_words());
         }
         let answer: Value = serde_json::from_str(&line).with_context(|| format!("the peer said {line}"))?;
         match answer["error"].as_str() {
             Some(error) => bail!("the peer failed: {error}"),
             None => Ok(answer),
         }
+    }
+
+    /// Whether it has ended by itself.
+    pub fn has_stopped(&self) -> bool {
+        self.stopped
+    }
+
+    /// How it ended, and the last lines of its error output.
+    fn last_words(&mut self) -> String {
+        const LINES: usize = 8;
+        let mut status = None;
+        for _ in 0..50 {
+            status = self.child.try_wait().ok().flatten();
+            if status.is_some() {
+                break;
+            }
+            sleep(Duration::from_millis(20));
+        }
+        let mut bytes = Vec::new();
+        let _ = self.stderr.rewind().and_then(|()| self.stderr.read_to_end(&mut bytes));
+        let text = String::from_utf8_lossy(&bytes);
+        let lines: Vec<&str> = text.lines().collect();
+        let last = lines[lines.len().saturating_sub(LINES)..].iter().map(|line| format!("\n    {line}"));
+        format!("{}:{}", status.map_or(String::new(), |status| format!(" ({status})")), last.collect::<String>())
     }
 
     /// Milliseconds of each repetition of something that was built.
@@ -139,4 +168,17 @@ impl Drop for Peer {
 /// The folder of the peers' programs.
 pub fn scripts() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/peers"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_peer_that_stops_leaves_its_last_words() {
+        let mut command = Command::new("sh");
+        command.args(["-c", "echo nothing of that kind >&2; exit 3"]);
+        let error = Peer::spawn(command).err().expect("it cannot answer").to_string();
+        assert!(error.contains("exit status: 3") && error.contains("nothing of that kind"), "{error}");
+    }
 }

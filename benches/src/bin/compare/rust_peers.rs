@@ -7,12 +7,12 @@ use anyhow::{Context, Result, ensure};
 use serde_json::{Value, json};
 
 use dimode_benches::ours::conv::{ConvCase, SHAPES};
-use dimode_benches::timing::geometric_mean;
+use dimode_benches::timing::{ends, geometric_mean};
 use dimode_benches::{Case, Inputs, Ours};
 
-use super::duel::{Effort, Peers, Row, Variant, duel};
+use super::duel::{Row, Variant};
 use super::peer::{Allocator, Peer, scripts};
-use super::tables::Table;
+use super::tables::{Table, of_threads, with_spread};
 
 /// The libraries.
 const LIBRARIES: [&str; 3] = ["candle", "burn-ndarray", "burn-flex"];
@@ -59,54 +59,54 @@ fn program() -> Result<PathBuf> {
     Ok(target.join("release/rust-peers"))
 }
 
-/// Compares all convolutions with the libraries; PyTorch writes the inputs.
-///
-/// # Errors
-/// When the program cannot be built or numbers differ.
-pub fn compare(effort: &Effort, folder: &Path, peers: &mut Peers, only: &dyn Fn(&str) -> bool, quick: bool) -> Result<Vec<Row>> {
-    let program = program()?;
-    let mut rows = Vec::new();
-    for &threads in &effort.threads {
-        let mut command = Command::new(&program);
-        // Read once by the thread library that both of them use.
-        command.env("RAYON_NUM_THREADS", threads.to_string());
-        peers.insert(Allocator::RustPeers.name(), Peer::spawn(command)?);
-        let effort = Effort { threads: vec![threads], ..effort.clone() };
-        let mut variants = vec![Variant { allocator: Allocator::Tuned, settings: json!({"layout": "nchw"}) }];
-        variants
-            .extend(LIBRARIES.map(|library| Variant { allocator: Allocator::RustPeers, settings: json!({"library": library}) }));
-        for case in SHAPES.into_iter().step_by(if quick { 5 } else { 1 }).filter(|case| only(case.name)) {
-            let found = duel(&BothWays(case), &variants, &effort, folder, peers)?;
-            // The goals for PyTorch look at its own comparison.
-            rows.extend(found.into_iter().map(|row| Row { topic: "rust-peers".into(), ..row }));
-        }
-    }
-    peers.remove(Allocator::RustPeers.name());
-    Ok(rows)
+/// The ways in which each case runs; PyTorch is there to write the inputs.
+pub fn variants() -> Vec<Variant> {
+    let libraries = LIBRARIES.map(|library| Variant { allocator: Allocator::RustPeers, settings: json!({"library": library}) });
+    let mut variants = vec![Variant { allocator: Allocator::Tuned, settings: json!({"layout": "nchw"}) }];
+    variants.extend(libraries);
+    variants
 }
 
-/// For each shape the better of the libraries.
-pub fn best_table(rows: &[Row]) -> Table {
-    let heads = ["case", "threads", "best library", "time / ours"];
-    let mut table = Table::new("Best of the Rust peers, forward and backward (asked: 4, aim 6, near the limit 10)", &heads);
-    let theirs = || rows.iter().filter(|row| row.what == "forward_backward" && !row.variant.starts_with("nchw"));
-    let mut keys: Vec<_> = theirs().map(|row| (row.case.clone(), row.threads)).collect();
-    keys.dedup();
-    let mut ratios = Vec::new();
-    for (case, threads) in keys {
-        let of_case = theirs().filter(|row| row.case == case && row.threads == threads);
-        if let Some(best) = of_case.min_by(|a, b| a.theirs.total_cmp(&b.theirs)) {
-            ratios.push(best.ratio());
-            table.push(vec![case, threads.to_string(), best.variant.clone(), format!("{:.1}", best.ratio())]);
-        }
+/// All convolutions; some of them for a first look.
+pub fn cases(quick: bool) -> Vec<Box<dyn Case>> {
+    SHAPES.into_iter().step_by(if quick { 5 } else { 1 }).map(|case| Box::new(BothWays(case)) as Box<dyn Case>).collect()
+}
+
+/// Builds the libraries' program and starts it with a number of threads, which it reads once.
+///
+/// # Errors
+/// When the program cannot be built or started.
+pub fn start(threads: usize) -> Result<Peer> {
+    let mut command = Command::new(program()?);
+    command.env("RAYON_NUM_THREADS", threads.to_string());
+    Peer::spawn(command)
+}
+
+/// For each shape the faster of the libraries, forward and backward.
+pub fn best(rows: &[Row], threads: usize) -> Vec<&Row> {
+    let theirs = |row: &&Row| row.threads == threads && row.what == "forward_backward" && is_library(row);
+    let chosen: Vec<&Row> = rows.iter().filter(theirs).collect();
+    let faster = |row: &&Row| !chosen.iter().any(|other| other.case == row.case && other.theirs < row.theirs);
+    chosen.iter().copied().filter(faster).collect()
+}
+
+fn is_library(row: &Row) -> bool {
+    LIBRARIES.iter().any(|library| row.variant.starts_with(library))
+}
+
+/// [`best`] as a table, with mean and worst.
+pub fn best_table(rows: &[Row], threads: usize) -> Table {
+    let title = format!("The faster of candle and burn, forward and backward, {}: its time / ours", of_threads(threads));
+    let mut table = Table::new(&title, &["case", "faster library", "ours, ms", "time / ours"]);
+    let found = best(rows, threads);
+    for row in &found {
+        table.push(vec![row.case.clone(), row.variant.clone(), format!("{:.3}", row.ours), with_spread(row)]);
     }
-    if !ratios.is_empty() {
-        table.push(vec![
-            "**geometric mean**".into(),
-            String::new(),
-            String::new(),
-            format!("**{:.1}**", geometric_mean(&ratios)),
-        ]);
+    let ratios: Vec<f64> = found.iter().map(|row| row.ratio()).collect();
+    for (name, number) in [("geometric mean", geometric_mean(&ratios)), ("worst", ends(&ratios).0)] {
+        if !ratios.is_empty() {
+            table.push(vec![format!("**{name}**"), String::new(), String::new(), format!("**{number:.2}**")]);
+        }
     }
     table
 }

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use dimode_benches::timing::geometric_mean;
+use dimode_benches::timing::{ends, geometric_mean};
 
 use super::duel::Row;
 
@@ -54,10 +54,19 @@ impl Table {
     }
 }
 
-/// `2.34 (2.30..2.41)`.
-fn with_spread(row: &Row) -> String {
+/// `2.34 (2.30..2.41)`, and whether the numbers differ.
+pub fn with_spread(row: &Row) -> String {
     let (low, high) = row.spread();
-    format!("{:.2} ({low:.2}..{high:.2})", row.ratio())
+    format!("{:.2} ({low:.2}..{high:.2}){}", row.ratio(), mark(row.agrees()))
+}
+
+fn mark(agrees: bool) -> &'static str {
+    if agrees { "" } else { " differs" }
+}
+
+/// `1 thread`, `2 threads`.
+pub fn of_threads(threads: usize) -> String {
+    format!("{threads} thread{}", if threads == 1 { "" } else { "s" })
 }
 
 /// One table for each number of threads: cases down, the peer's variants across. Convolutions also get their means and worst.
@@ -65,19 +74,16 @@ pub fn of_rows(title: &str, rows: &[Row]) -> Vec<Table> {
     let mut threads: Vec<usize> = rows.iter().map(|row| row.threads).collect();
     threads.sort_unstable();
     threads.dedup();
-    threads.into_iter().map(|t| of_threads(title, t, &rows.iter().filter(|row| row.threads == t).collect::<Vec<_>>())).collect()
+    threads.into_iter().map(|t| one_table(title, t, &rows.iter().filter(|row| row.threads == t).collect::<Vec<_>>())).collect()
 }
 
-fn of_threads(title: &str, threads: usize, rows: &[&Row]) -> Table {
+fn one_table(title: &str, threads: usize, rows: &[&Row]) -> Table {
     let variants = unique(rows.iter().map(|row| row.variant.clone()));
     let items = unique(rows.iter().map(|row| (row.case.clone(), row.what.clone())));
     let mut heads = vec!["case".to_owned(), "ours, ms".to_owned()];
     heads.extend(variants.iter().map(|variant| format!("/ {variant}")));
-    let mut table = Table {
-        title: format!("{title}, {threads} thread{}: time of the peer / ours", if threads == 1 { "" } else { "s" }),
-        heads,
-        cells: Vec::new(),
-    };
+    let mut table =
+        Table { title: format!("{title}, {}: time of the peer / ours", of_threads(threads)), heads, cells: Vec::new() };
     for (case, what) in &items {
         let of_item: Vec<_> = rows.iter().filter(|row| row.case == *case && row.what == *what).collect();
         let mut cells = vec![format!("{case}, {}", what.replace('_', " ")), format!("{:.3}", of_item[0].ours)];
@@ -87,17 +93,22 @@ fn of_threads(title: &str, threads: usize, rows: &[&Row]) -> Table {
     }
     let several = unique(rows.iter().map(|row| row.case.clone())).len() > 3;
     for what in unique(rows.iter().map(|row| row.what.clone())).into_iter().filter(|_| several) {
-        let ratios = |v: &String| -> Vec<f64> {
-            rows.iter().filter(|row| row.variant == *v && row.what == what).map(|row| row.ratio()).collect()
+        let ratios = |v: &String| -> (Vec<f64>, bool) {
+            let chosen = || rows.iter().filter(|row| row.variant == *v && row.what == what);
+            (chosen().map(|row| row.ratio()).collect(), chosen().all(|row| row.agrees()))
         };
         let of_all: Vec<_> = variants.iter().map(ratios).collect();
         let name = what.replace('_', " ");
         let line = |label: String, number: fn(&[f64]) -> f64| {
-            let numbers = of_all.iter().map(|r| if r.is_empty() { "-".to_owned() } else { format!("**{:.2}**", number(r)) });
+            let cell = |(ratios, agrees): &(Vec<f64>, bool)| match ratios.as_slice() {
+                [] => "-".to_owned(),
+                ratios => format!("**{:.2}**{}", number(ratios), mark(*agrees)),
+            };
+            let numbers = of_all.iter().map(cell);
             [label, String::new()].into_iter().chain(numbers).collect::<Vec<_>>()
         };
         table.push(line(format!("**geometric mean, {name}**"), geometric_mean));
-        table.push(line(format!("**worst, {name}**"), |r| r.iter().copied().fold(f64::INFINITY, f64::min)));
+        table.push(line(format!("**worst, {name}**"), |r| ends(r).0));
     }
     table
 }
