@@ -86,8 +86,8 @@ impl ConvCase {
 
     /// Whether the convolution goes by Winograd's scheme here.
     ///
-    /// Nothing public tells, but the numbers do. Weights of one in the middle return the input, and so does every sum of products,
-    /// whatever its order. The scheme adds neighbours first: beside large ones, small ones are lost.
+    /// Nothing public tells, but the numbers do. Weights of one in the middle return the input, and so does every sum
+    /// of products, whatever its order. The scheme adds neighbours first: beside large ones, small ones are lost.
     pub fn goes_by_winograd(&self) -> bool {
         if (self.kernel, self.stride, self.padding, self.dilation, self.groups) != (3, 1, 1, 1, 1) {
             return false;
