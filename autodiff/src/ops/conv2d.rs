@@ -9,7 +9,7 @@
 //! number of threads.
 
 use super::conv::layout::Layout;
-use super::conv::{backward_input, backward_weight, forward};
+use super::conv::{After, backward_input, backward_weight, forward};
 use super::{kernel, norm};
 use crate::activation::{Activate, with_activation};
 use crate::proof::{Case, Draw, Number, Plain, Proof, Twin};
@@ -133,11 +133,8 @@ pub(crate) fn record<'t, T: Scalar>(
     }
     let layout = Layout::new(x.shape(), w.shape(), shape, &conv);
     let bias_value = bias.map(|b| b.value());
-    let mut y = forward(&layout, x.data(), w.data(), bias_value.as_ref().map(|b| b.data()), &pool);
-    if activation != Activation::Identity {
-        with_activation!(activation, |a| kernel::update(&mut y, |y| a.of(y)));
-    }
-    let y = tape.tensor(shape, y);
+    let after = After { bias: bias_value.as_ref().map(|b| b.data()), activation };
+    let y = tape.tensor(shape, forward(&layout, x.data(), w.data(), after, &pool));
     // Input and weight are only kept for each other's gradient, the output for the slope of the activation.
     let x = parents[1].requires_grad().then_some(x);
     let w = parents[0].requires_grad().then_some(w);

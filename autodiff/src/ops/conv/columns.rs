@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use pulp::{Arch, Simd, WithSimd};
 
+use super::after::After;
 use super::backward_input::fold_phase;
 use super::direct::{Direct, Tap, blocks};
 use super::layout::Layout;
@@ -27,8 +28,8 @@ const BLOCKS: usize = 4;
 /// Channels whose columns are made as one item.
 const CHANNELS: usize = 8;
 
-/// `y = w * x + b`.
-pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
+/// `y = a(w * x + b)`.
+pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], after: After<'_, T>, pool: &Arc<Pool<T>>) -> Vec<T> {
     let packed = l.pack_input(x, pool);
     let mut y = pool.take(l.output.len());
     let task = Columns {
@@ -40,7 +41,7 @@ pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool
         w,
         steps: [l.cin * l.taps, l.taps],
         kernel: l.taps,
-        bias,
+        after,
         outputs: l.cout,
         size: [l.output.h(), l.output.w()],
     };
@@ -71,7 +72,7 @@ pub fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], poo
             w,
             steps: [l.taps, l.cin * l.taps],
             kernel: l.taps,
-            bias: None,
+            after: After::NOTHING,
             outputs: l.cin,
             size,
         };
@@ -100,7 +101,7 @@ struct Columns<'a, T> {
     steps: [usize; 2],
     /// Weights of one input and output channel.
     kernel: usize,
-    bias: Option<&'a [T]>,
+    after: After<'a, T>,
     outputs: usize,
     /// Rows and columns of an output plane.
     size: [usize; 2],
@@ -180,7 +181,7 @@ impl<T: Scalar> Columns<'_, T> {
         par::for_each_chunk(out, plane, |i, mut out| {
             let (image, o) = (i / self.outputs, i % self.outputs);
             let block = blocks.iter().rfind(|block| block.start <= o).expect("every output is in a block");
-            let bias = self.bias.map_or(T::ZERO, |b| b[o]);
+            let bias = self.after.bias(o);
             let sums = &sums[block.start * block_len..][..block.width * block_len];
             let mut from = image * plane;
             while !out.is_empty() {
@@ -188,6 +189,7 @@ impl<T: Scalar> Columns<'_, T> {
                 let some = out.split_off_mut(..out.len().min(PANEL - at)).expect("not beyond the plane");
                 let sums = &sums[(panel * block.width + o - block.start) * PANEL + at..];
                 some.iter_mut().zip(sums).for_each(|(y, &sum)| *y = sum + bias);
+                self.after.activate(some);
                 from += some.len();
             }
         });
@@ -276,8 +278,9 @@ mod tests {
             let (x, w) = (random::<T>(1, shape, -1.0, 1.0), random::<T>(2, weight, -1.0, 1.0));
             let (b, g) = (random::<T>(3, Shape::new(1, outputs, 1, 1), -1.0, 1.0), random::<T>(4, l.output, -1.0, 1.0));
             for bias in [None, Some(b.data())] {
-                let y = forward(&l, x.data(), w.data(), bias, &pool);
-                assert!(y == direct::forward(&l, x.data(), w.data(), bias, &pool), "case {case}");
+                let after = After { bias, ..After::NOTHING };
+                let y = forward(&l, x.data(), w.data(), after, &pool);
+                assert!(y == direct::forward(&l, x.data(), w.data(), after, &pool), "case {case}");
             }
             let mut dx = [(); 2].map(|()| vec![T::from_f64(f64::NAN); shape.len()]);
             backward_input(&l, g.data(), w.data(), &mut dx[0], &pool);
@@ -303,7 +306,7 @@ mod tests {
                     let pool = Pool::new();
                     let mut dx = vec![0.0; x.len()];
                     backward_input(l, g, w.data(), &mut dx, &pool);
-                    (forward(l, x, w.data(), None, &pool), dx)
+                    (forward(l, x, w.data(), After::NOTHING, &pool), dx)
                 })
             };
             let one = run(1, &l, x.data(), g.data());

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use pulp::{Arch, Simd, WithSimd};
 
+use super::after::After;
 use super::backward_input::store_dense;
 use super::layout::{Layout, SLACK};
 use crate::simd::{Wide, unroll};
@@ -14,7 +15,7 @@ use crate::{PadMode, Pool, Scalar, par};
 const BLOCK: usize = 4;
 
 /// `y = w * x + b`.
-pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
+pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], after: After<'_, T>, pool: &Arc<Pool<T>>) -> Vec<T> {
     let mut y = pool.take(l.output.len());
     let offsets = l.tap_offsets();
     let (channels, plane) = (l.groups, l.input.plane());
@@ -27,10 +28,11 @@ pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool
             pitch: l.phase_w,
             offsets: &offsets,
             weights: &w[c * l.taps..][..l.taps],
-            start: bias.map_or(T::ZERO, |b| b[c]),
+            start: after.bias(c),
             out,
             width: l.output.w(),
         });
+        after.activate(out);
         pool.give(padded);
     });
     y

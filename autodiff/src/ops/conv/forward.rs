@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::after::After;
 use super::direct::{BLOCK, Direct, Tap, blocks, padded_len};
 use super::layout::Layout;
 use crate::{Pool, Scalar, par};
@@ -16,8 +17,8 @@ pub fn tile_rows(pitch: usize, elements: usize) -> usize {
     POSITIONS.min(READ / elements).div_ceil(pitch)
 }
 
-/// `y = w * x + b`.
-pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
+/// `y = a(w * x + b)`.
+pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], after: After<'_, T>, pool: &Arc<Pool<T>>) -> Vec<T> {
     let packed = l.pack_input(x, pool);
     let taps: Vec<Tap> = l.tap_offsets().into_iter().enumerate().map(|(weight, offset)| Tap { offset, weight }).collect();
     let per_output = l.cin * l.taps;
@@ -45,12 +46,13 @@ pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool
             add: false,
         });
         for (o, (out, flat)) in unit.out.iter_mut().zip(scratch.chunks_exact(pitch)).enumerate() {
-            let b = bias.map_or(T::ZERO, |b| b[first + o]);
+            let b = after.bias(first + o);
             for (row, flat) in out.chunks_exact_mut(wo).zip(flat.chunks(l.phase_w)) {
                 for (y, &f) in row.iter_mut().zip(flat) {
                     *y = f + b;
                 }
             }
+            after.activate(out);
         }
         pool.give(scratch);
     });

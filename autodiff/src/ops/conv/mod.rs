@@ -1,5 +1,6 @@
 //! Kernels of the convolution: padding into phase planes, the direct product, the weight gradient. `choice` says which one when.
 
+mod after;
 mod backward_input;
 mod choice;
 pub mod columns;
@@ -18,19 +19,20 @@ pub mod winograd_weight_kernels;
 
 use std::sync::Arc;
 
+pub(super) use after::After;
 use choice::{Algorithm, algorithm, pays_columns_backward};
 use layout::Layout;
 
 use crate::{Pool, Scalar};
 
 /// The output, by the way that [`choice`] names.
-pub(super) fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
+pub(super) fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], after: After<'_, T>, pool: &Arc<Pool<T>>) -> Vec<T> {
     match algorithm(l) {
-        Algorithm::Pointwise => pointwise::forward(l, x, w, bias, pool),
-        Algorithm::Depthwise => depthwise::forward(l, x, w, bias, pool),
-        Algorithm::Winograd => winograd::forward(l, x, w, bias, pool),
-        Algorithm::Columns => columns::forward(l, x, w, bias, pool),
-        Algorithm::Direct => forward::forward(l, x, w, bias, pool),
+        Algorithm::Pointwise => pointwise::forward(l, x, w, after, pool),
+        Algorithm::Depthwise => depthwise::forward(l, x, w, after, pool),
+        Algorithm::Winograd => winograd::forward(l, x, w, after, pool),
+        Algorithm::Columns => columns::forward(l, x, w, after, pool),
+        Algorithm::Direct => forward::forward(l, x, w, after, pool),
     }
 }
 

@@ -4,27 +4,29 @@
 
 use std::sync::Arc;
 
+use super::after::After;
 use super::layout::Layout;
 use crate::gemm::View;
-use crate::{Pool, Scalar, par};
+use crate::{Activation, Pool, Scalar, par};
 
 /// Pixels of a tile.
 const PIXELS: usize = 512;
 /// Output channels of a block of weights.
 const OUTPUTS: usize = 64;
 
-/// `y = w x + b`.
-pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
+/// `y = a(w x + b)`.
+pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], after: After<'_, T>, pool: &Arc<Pool<T>>) -> Vec<T> {
     let plane = l.output.plane();
     let mut y = pool.take(l.output.len());
     for (image, y) in y.chunks_exact_mut(l.cout * plane).enumerate() {
         let x = &x[image * l.cin * plane..][..l.cin * plane];
         T::gemm_by_columns(y, View::new(w, l.cout, l.cin), View::new(x, l.cin, plane), PIXELS);
     }
-    if let Some(bias) = bias {
+    if after.bias.is_some() || after.activation != Activation::Identity {
         par::for_each_chunk(&mut y, plane, |i, y| {
-            let b = bias[i % l.cout];
+            let b = after.bias(i % l.cout);
             y.iter_mut().for_each(|y| *y += b);
+            after.activate(y);
         });
     }
     y

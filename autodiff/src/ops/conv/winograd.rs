@@ -9,6 +9,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::after::After;
 use super::backward_input::fold_phase;
 use super::layout::{Layout, source_indices};
 use super::winograd_kernels::{BLOCK, GROUP, Inputs, Outputs, PRODUCTS, Products, Weights};
@@ -25,8 +26,8 @@ const CHANNELS: usize = 8;
 /// Input channels after which partial sums are put down, so that what is read again and again stays in the nearest cache.
 const SUMMED: usize = 128;
 
-/// `y = w * x + b`.
-pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool: &Arc<Pool<T>>) -> Vec<T> {
+/// `y = a(w * x + b)`.
+pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], after: After<'_, T>, pool: &Arc<Pool<T>>) -> Vec<T> {
     let mut y = pool.take(l.output.len());
     let task = Winograd {
         x,
@@ -36,7 +37,7 @@ pub fn forward<T: Scalar>(l: &Layout, x: &[T], w: &[T], bias: Option<&[T]>, pool
         w,
         steps: [l.cin * l.taps, l.taps],
         turned: false,
-        bias,
+        after,
         outputs: l.cout,
         out_size: [l.output.h(), l.output.w()],
     };
@@ -60,7 +61,7 @@ pub fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], poo
         w,
         steps: [l.taps, l.cin * l.taps],
         turned: true,
-        bias: None,
+        after: After::NOTHING,
         outputs: l.cin,
         out_size,
     };
@@ -86,7 +87,7 @@ struct Winograd<'a, T> {
     w: &'a [T],
     steps: [usize; 2],
     turned: bool,
-    bias: Option<&'a [T]>,
+    after: After<'a, T>,
     outputs: usize,
     /// Rows and columns of an output plane.
     out_size: [usize; 2],
@@ -313,11 +314,12 @@ impl<T: Scalar> Winograd<'_, T> {
                     products: &products[o * sizes.pitch + start..],
                     step: outputs * sizes.pitch,
                     tiles: sizes.wide,
-                    bias: self.bias.map_or(T::ZERO, |b| b[part.group * sizes.group + o]),
+                    bias: self.after.bias(part.group * sizes.group + o),
                     scratch: &mut scratch,
                     out,
                     width: self.out_size[1],
                 });
+                self.after.activate(out);
             }
             start += rows.len() * sizes.wide;
         }
@@ -383,7 +385,7 @@ mod tests {
                     assert!(error < tolerance * (9.0 * sums as f64).sqrt(), "case {case}: {a} against {b}");
                 }
             };
-            let bias = Some(b.data());
+            let bias = After { bias: Some(b.data()), ..After::NOTHING };
             let y = forward(&l, x.data(), w.data(), bias, &pool);
             close(&y, &direct::forward(&l, x.data(), w.data(), bias, &pool), channels);
             let mut dx = [(); 2].map(|()| vec![T::from_f64(f64::NAN); shape.len()]);
@@ -411,8 +413,10 @@ mod tests {
                     (true, false) => f32::NAN,
                     _ => background,
                 });
-                let (found, wanted) =
-                    (forward(&l, lone.data(), w.data(), None, &pool), direct::forward(&l, lone.data(), w.data(), None, &pool));
+                let (found, wanted) = (
+                    forward(&l, lone.data(), w.data(), After::NOTHING, &pool),
+                    direct::forward(&l, lone.data(), w.data(), After::NOTHING, &pool),
+                );
                 let same = |(a, b): (&f32, &f32)| (*a == 0.0) == (*b == 0.0) && a.is_nan() == b.is_nan();
                 assert!(found.iter().zip(&wanted).all(same), "lone input {at} on {background}");
             }
@@ -430,7 +434,7 @@ mod tests {
                     let pool = Pool::new();
                     let mut dx = vec![0.0; shape.len()];
                     backward_input(&l, g.data(), w.data(), &mut dx, &pool);
-                    (forward(&l, x.data(), w.data(), None, &pool), dx)
+                    (forward(&l, x.data(), w.data(), After::NOTHING, &pool), dx)
                 })
             };
             let one = run(1);
