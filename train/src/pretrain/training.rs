@@ -66,10 +66,10 @@ pub fn train<T: Task>(
             }
         }
         progress.finish();
-        progress.note(&format!("peak memory of pre-training: {}", PeakMemory::now(learner.pool.peak_bytes())));
         let errors = learner.conclude()?;
         go_on(stop, progress, settings.steps)?;
         target.write(&learner.params)?;
+        progress.note(&format!("peak memory of pre-training: {}", PeakMemory::now(learner.pool.peak_bytes())));
         Ok(errors)
     })
 }

@@ -90,3 +90,57 @@ fn pays_columns(l: &Layout) -> bool {
 pub fn pays_columns_backward(l: &Layout) -> bool {
     l.is_dense() || l.phase_len() <= 32
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Conv2d, Shape};
+
+    fn chosen([n, inputs, outputs, h, w]: [usize; 5], kernel: usize, conv: Conv2d) -> (Algorithm, bool) {
+        let (x, weight) = (Shape::new(n, inputs, h, w), Shape::new(outputs, inputs / conv.groups, kernel, kernel));
+        let l = Layout::new(x, weight, conv.output_shape(x, weight), &conv);
+        (algorithm(&l), pays_winograd_weight(&l))
+    }
+
+    /// The table above, and the borders of its rules.
+    #[test]
+    fn every_shape_goes_the_way_of_the_table() {
+        use Algorithm::{Columns, Depthwise, Direct, Pointwise, Winograd};
+        let (three, strided) = (Conv2d::new(1, 1), Conv2d::new(2, 1));
+        let depthwise = Conv2d { groups: 64, ..three };
+        for (shape, kernel, conv, way, winograd_weight) in [
+            ([1, 64, 256, 24, 80], 1, Conv2d::new(1, 0), Pointwise, false),
+            ([1, 64, 64, 48, 160], 3, depthwise, Depthwise, false),
+            ([1, 64, 64, 48, 160], 3, three, Winograd, true),
+            ([4, 64, 64, 48, 160], 3, three, Winograd, true),
+            ([1, 128, 128, 24, 80], 3, three, Winograd, true),
+            ([1, 256, 256, 12, 40], 3, three, Winograd, true),
+            ([1, 512, 512, 6, 20], 3, three, Direct, true),
+            ([1, 16, 16, 192, 640], 3, three, Direct, false),
+            ([1, 16, 1, 192, 640], 3, three, Direct, false),
+            ([1, 32, 16, 96, 320], 3, three, Winograd, true),
+            ([4, 16, 32, 32, 96], 3, three, Winograd, true),
+            ([4, 8, 8, 64, 192], 3, three, Direct, false),
+            ([1, 64, 128, 48, 160], 3, strided, Direct, false),
+            ([4, 3, 16, 64, 192], 3, strided, Direct, false),
+            ([1, 3, 64, 192, 640], 7, Conv2d::new(2, 3), Direct, false),
+            ([4, 128, 128, 2, 6], 3, three, Columns, true),
+            ([4, 64, 128, 4, 12], 3, strided, Columns, false),
+            // 40 tiles, 39, and a column matrix for none of them.
+            ([1, 16, 32, 10, 16], 3, three, Winograd, true),
+            ([1, 16, 32, 6, 26], 3, three, Direct, true),
+            ([1, 16, 31, 10, 16], 3, three, Direct, false),
+            // 64 positions of one image, whatever lies beside it; 65.
+            ([9, 16, 16, 8, 8], 3, three, Columns, false),
+            ([1, 16, 16, 5, 13], 3, three, Direct, false),
+            ([1, 24, 24, 20, 20], 3, three, Winograd, false),
+        ] {
+            assert_eq!(
+                chosen(shape, kernel, conv),
+                (way, winograd_weight),
+                "{shape:?}, {kernel}x{kernel}, stride {:?}",
+                conv.stride
+            );
+        }
+    }
+}
