@@ -395,6 +395,17 @@ mod tests {
             }
         }
         assert!(sure > 50 && broken > 50, "{sure} promises, {broken} steps beyond use");
+        // Small weights and a small first moment, but a steep gradient at a huge rate.
+        let settings = AdamW { weight_decay: 0.0, ..AdamW::default() };
+        let (mut state, mut w) = (State::default(), [0.5]);
+        let [flat, steep] = [1e-20, 1.0].map(|g| Tensor::full(Shape::SCALAR, g));
+        assert!(settings.keeps_usable(&state, "w", &w, &flat, 1e20, 1.0));
+        let largest = settings.step(&mut state, "w", &mut w, &flat, 1e20, 1.0);
+        assert!(f64::from(largest.weight) < 1e9 && !settings.keeps_usable(&state, "w", &w, &steep, 1e20, 1.0));
+        assert!(!settings.surely_keeps_usable(largest, 1, 1.0, 1e20));
+        // Weights that decay to many times their size.
+        let growing = AdamW { weight_decay: 1e6, ..AdamW::default() };
+        assert!(!growing.surely_keeps_usable(Largest { weight: 1e10, first: 0.0 }, 1, 0.0, 1e10));
         let usual = Largest { weight: 30.0, first: 1e3 };
         assert!(AdamW::default().surely_keeps_usable(usual, 7, 1e4, 1e-2));
     }
