@@ -17,22 +17,16 @@ WEIGHTS = {"pla": 0.05, "axi": 0.05, "tan": 0.1, "rad": 0.1, "photo": 1.0, "smoo
 def build(case, variant, store):
     """`case`: name, batch, height, width. `variant`: mode (eager or compile)."""
     n, h, w = case["batch"], case["height"], case["width"]
-    matrix = store.input("camera", (3, 3), lambda rng: scene.camera_matrix(h, w))
-    camera = photometric.Camera(matrix, h, w)
     target, *sources = scene.images(store, n, h, w)
-    depth_t, depth_s = scene.depth(store, "depth_t", n, h, w), scene.depth(store, "depth_s", n, h, w)
-    rotation, translation = scene.motion(store, n)
-    flow = scene.flow(store, depth_t, translation)
-    chosen = store.input(
-        "mask", (n, 1, h, w), lambda rng: well_conditioned(rng, camera, depth_s, flow, rotation[:n], translation[:n])
-    ).bool()
+    pair = geometric.Pair(store, n, h, w)
+    camera, depth_t, depth_s, rotation, translation = pair.camera, pair.depth_t, pair.depth_s, pair.rotation, pair.translation
     leaves = {"depth_t": depth_t, "depth_s": depth_s, "rotation": rotation, "translation": translation}
     leaves = {name: leaf.requires_grad_() for name, leaf in leaves.items()}
 
     def terms(part):
         found = {}
         if part != "photo":
-            four = geometric.losses(camera, depth_t, depth_s, flow, rotation[:n], translation[:n], chosen)
+            four = geometric.losses(camera, depth_t, depth_s, pair.flow, rotation[:n], translation[:n], pair.mask)
             found.update(zip(PARTS["geom"], four))
         if part != "geom":
             identities = photometric.identity_errors(target, sources)
@@ -80,18 +74,3 @@ def build(case, variant, store):
 def gradient(leaf):
     """Zeros where no path leads to the leaf."""
     return torch.zeros_like(leaf) if leaf.grad is None else leaf.grad
-
-
-def well_conditioned(rng, camera, depth_s, flow, rotation, translation):
-    """A mask with smooth gaps for what moves or is hidden, and without the pixels where the printed terms divide by almost zero:
-    there, numbers of different programs cannot be compared in f32.
-    """
-    n, _, h, w = depth_s.shape
-    with torch.no_grad():
-        planar, axial, _ = geometric.align(camera, depth_s, flow, rotation, translation)
-        along = (axial * camera.offset).sum(1, keepdim=True) / camera.radius.clamp(min=1.0)
-        cosine_p = planar[:, :1].abs() / planar.norm(dim=1, keepdim=True)
-        cosine_a = along.abs() / axial.norm(dim=1, keepdim=True)
-        sound = (planar.abs().amin(1, keepdim=True) > 0.1) & (along.abs() > 0.1) & ((along + camera.radius).abs() > 0.1)
-        sound &= (cosine_p < 0.9999) & (cosine_a < 0.9999) & (camera.radius > 1.0)
-    return (scene.smooth_field(rng, n, 1, h, w, 12) > -0.8) & sound.numpy()

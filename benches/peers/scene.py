@@ -44,14 +44,15 @@ def depth(store, name, n, h, w):
 
 def motion(store, n):
     """Rotation [2 n, 3, 3] and translation [2 n, 3] from the target to both sources, those of the previous one first."""
-    towards = np.repeat([[0.12, 0.05, 0.6], [-0.10, -0.04, -0.5]], n, axis=0)
+    # Sideways enough for the planar loss in pixels to count.
+    towards = np.repeat([[0.25, 0.08, 0.5], [-0.22, -0.07, -0.45]], n, axis=0)
     rotation = store.input("rotation", (2 * n, 3, 3), lambda rng: rotations(0.01 * rng.standard_normal((2 * n, 3)) + 1e-3))
     translation = store.input("translation", (2 * n, 3), lambda rng: towards + 0.02 * rng.standard_normal((2 * n, 3)))
     return rotation, translation
 
 
-def flow(store, depth_t, translation):
-    """Flow of the first source [n, 2, h, w], pixels: the rigid flow of a slightly different motion, with smooth errors."""
+def flow(store, name, depth_t, translation):
+    """A flow of the first source [n, 2, h, w], pixels: the rigid flow of a slightly different motion, with smooth errors."""
     n, _, h, w = depth_t.shape
     k = camera_matrix(h, w)
 
@@ -64,4 +65,4 @@ def flow(store, depth_t, translation):
         found = (seen[:, :2] / seen[:, 2:] - pixels[None, :2]).reshape(n, 2, h, w)
         return found + 0.3 * smooth_field(rng, n, 2, h, w, 16)
 
-    return store.input("flow", (n, 2, h, w), make)
+    return store.input(name, (n, 2, h, w), make)

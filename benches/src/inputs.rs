@@ -60,7 +60,7 @@ fn drawn(name: &str, shape: Shape) -> Tensor<f32> {
     match name {
         "target" | "previous" | "next" => uniform(seed, shape, 0.0, 1.0),
         "depth_t" | "depth_s" => uniform(seed, shape, 4.0, 16.0),
-        "flow" => uniform(seed, shape, -3.0, 3.0),
+        "flow" | "other_flow" => uniform(seed, shape, -3.0, 3.0),
         "mask" => Tensor::full(shape, 1.0),
         "camera" => panic!("a drawn camera belongs to an image size"),
         "rotation" => {

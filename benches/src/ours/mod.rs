@@ -4,6 +4,7 @@ pub mod adam;
 pub mod conv;
 pub mod encoder;
 pub mod loss_core;
+pub mod losses;
 pub mod networks;
 pub mod pieces;
 pub mod step;

@@ -7,6 +7,7 @@ use dimode_benches::ours::adam::AdamCase;
 use dimode_benches::ours::conv::{ConvCase, DIRECT, SHAPES};
 use dimode_benches::ours::encoder::EncoderCase;
 use dimode_benches::ours::loss_core::LossCase;
+use dimode_benches::ours::losses::LOSSES;
 use dimode_benches::ours::pieces::PIECES;
 use dimode_benches::ours::step::StepCase;
 use dimode_benches::timing::{measure, median};
@@ -27,6 +28,8 @@ pub enum Topic {
     Depthwise,
     /// The loss core.
     Loss,
+    /// Each loss by itself.
+    Losses,
     /// Batch norm, point-wise pieces, a convolution with its activation, and Adam.
     Norm,
     /// The ResNet-18 encoder.
@@ -46,8 +49,9 @@ pub enum Topic {
 }
 
 /// Everything but `all`.
-const SINGLE: [Topic; 9] = [
+const SINGLE: [Topic; 10] = [
     Topic::Loss,
+    Topic::Losses,
     Topic::Conv,
     Topic::Depthwise,
     Topic::Norm,
@@ -78,6 +82,7 @@ impl Topic {
             Self::Conv => "Convolutions",
             Self::Depthwise => "Depth-wise convolutions",
             Self::Loss => "Loss core, forward and backward",
+            Self::Losses => "Each loss by itself, forward and backward",
             Self::Norm => "Batch norm, other pieces, Adam",
             Self::Encoder => "ResNet-18 encoder",
             Self::Step => "Training step",
@@ -104,6 +109,7 @@ impl Topic {
             Self::Loss => {
                 vec![1, 4].into_iter().take(if quick { 1 } else { 2 }).map(|b| boxed(LossCase::new(b, 192, 640))).collect()
             }
+            Self::Losses => LOSSES.into_iter().step_by(if quick { 4 } else { 1 }).map(boxed).collect(),
             Self::Encoder if quick => vec![boxed(EncoderCase::new(16, 4, 64, 192))],
             Self::Encoder => vec![
                 boxed(EncoderCase::new(64, 1, 192, 640)),
@@ -127,6 +133,7 @@ impl Topic {
                 variants.extend(compile.then(|| mode(Tuned, "compile")));
                 variants
             }
+            Self::Losses => vec![mode(Default, "eager"), mode(Tuned, "eager")],
             Self::Norm => vec![layout(Default, "nchw"), layout(Tuned, "nchw")],
             Self::Conv | Self::Depthwise => vec![
                 layout(Default, "nchw"),
