@@ -2,7 +2,7 @@
 
 import torch
 
-from networks import Encoder, share_parameters
+from networks import Encoder, resnet18_widths, share_parameters
 from store import memory_format
 
 
@@ -10,7 +10,8 @@ def build(case, variant, store):
     """`case`: name, width, batch, height, img_width."""
     n, h, w = case["batch"], case["height"], case["img_width"]
     fmt = memory_format(variant["layout"])
-    net = Encoder(1, case["width"]).train()
+    torch.manual_seed(1)
+    net = Encoder(1, resnet18_widths(case["width"])).train()
     share_parameters(store, {"encoder": net})
     net = net.to(memory_format=fmt)
     x = store.input("x", (n, 3, h, w), lambda rng: rng.random((n, 3, h, w))).contiguous(memory_format=fmt)

