@@ -8,12 +8,14 @@ use dimode_autodiff::rng::uniform;
 use dimode_autodiff::{Shape, Tensor};
 use dimode_nets::ParamSet;
 
+use crate::scene;
+
 /// Where inputs come from.
 #[derive(Clone, Debug)]
 pub enum Inputs {
     /// Raw little-endian f32 files `NAME.bin` of a folder.
     Folder(PathBuf),
-    /// Random numbers of realistic size, by the name of the input.
+    /// The scene of [`mod@crate::scene`] and random numbers of realistic size, by the name of the input.
     Drawn,
 }
 
@@ -54,20 +56,14 @@ pub fn read(path: &Path, len: usize) -> Result<Vec<f32>> {
     Ok(bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
 }
 
-/// Random numbers as a scene and a network in training have them.
+/// Parts of the scene, else random numbers as a network in training has them.
 fn drawn(name: &str, shape: Shape) -> Tensor<f32> {
+    if let Some(part) = scene::part(name, shape) {
+        return part;
+    }
     let seed = name.bytes().fold(17, |seed: u64, byte| seed.wrapping_mul(31).wrapping_add(u64::from(byte)));
     match name {
-        "target" | "previous" | "next" => uniform(seed, shape, 0.0, 1.0),
-        "depth_t" | "depth_s" => uniform(seed, shape, 4.0, 16.0),
-        "flow" | "other_flow" => uniform(seed, shape, -3.0, 3.0),
-        "mask" => Tensor::full(shape, 1.0),
         "camera" => panic!("a drawn camera belongs to an image size"),
-        "rotation" => {
-            let small = uniform::<f32>(seed, shape, -0.01, 0.01);
-            Tensor::from_fn(shape, |n, _, i, j| if i == j { 1.0 } else { small.at(n, 0, i.min(j), i.max(j)) * sign(i, j) })
-        }
-        "translation" => uniform(seed, shape, -0.5, 0.5),
         "weight" => {
             let fan_in = (shape.c() * shape.h() * shape.w()) as f64;
             uniform(seed, shape, -(3.0 / fan_in).sqrt(), (3.0 / fan_in).sqrt())
@@ -75,9 +71,4 @@ fn drawn(name: &str, shape: Shape) -> Tensor<f32> {
         // Variance 1.
         _ => uniform(seed, shape, -3.0_f64.sqrt(), 3.0_f64.sqrt()),
     }
-}
-
-/// A small rotation is the identity plus a skew-symmetric matrix.
-fn sign(i: usize, j: usize) -> f32 {
-    if i < j { 1.0 } else { -1.0 }
 }

@@ -8,15 +8,17 @@ use std::time::Duration;
 
 use anyhow::Result;
 use dimode::losses::fused_reprojection::{Combine, Frames, fused_reprojection};
+use dimode::losses::min_reprojection::min_reprojection;
 use dimode::losses::photometric::photometric;
 use dimode::losses::smoothness::smoothness;
+use dimode_autodiff::ops::bilinear_sample::SamplePadding;
 use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
 use dimode_geometry::Intrinsics;
-use dimode_geometry::losses::fused::geometric_losses;
 use dimode_geometry::losses::{LossOptions, PairInputs};
-use dimode_geometry::taped::Pose;
+use dimode_geometry::taped::{Pose, rigid_flow, warp};
 use serde_json::{Value, json};
 
+use super::losses::{Way, four};
 use crate::camera::camera;
 use crate::case::{Case, Ours, Results, timed};
 use crate::inputs::Inputs;
@@ -37,12 +39,19 @@ pub struct LossCase {
     batch: usize,
     height: usize,
     width: usize,
+    way: Way,
 }
 
 impl LossCase {
     /// The loss core of a batch of images.
     pub fn new(batch: usize, height: usize, width: usize) -> Self {
-        Self { name: format!("loss core {width}x{height} b{batch}"), batch, height, width }
+        Self { name: format!("loss core {width}x{height} b{batch}"), batch, height, width, way: Way::Fused }
+    }
+
+    /// The same as a graph of small operations: what fusing them brings.
+    pub fn composed(batch: usize, height: usize, width: usize) -> Self {
+        let fused = Self::new(batch, height, width);
+        Self { name: format!("{}, composed", fused.name), way: Way::Composed, ..fused }
     }
 
     /// Bytes that must be read or written: three images, two depths, flow and mask, and the gradients of the depths.
@@ -85,6 +94,7 @@ impl Case for LossCase {
             target,
             sources: [image("previous")?, image("next")?],
             cameras: vec![camera(inputs, h, w)?; 2 * n],
+            way: self.way,
             pool: Pool::new(),
         }))
     }
@@ -99,6 +109,7 @@ struct LossCore {
     sources: [Tensor<f32>; 2],
     /// Cameras of the stacked samples.
     cameras: Vec<Intrinsics>,
+    way: Way,
     pool: Arc<Pool<f32>>,
 }
 
@@ -119,8 +130,7 @@ impl LossCore {
             intrinsics: &self.cameras[..n],
             mask: &self.mask,
         };
-        let options = LossOptions::literal();
-        geometric_losses(&inputs, &options, [true; 4]).expect("the printed forms have kernels").map(|loss| loss.mean)
+        four(&inputs, &LossOptions::literal(), [true; 4], self.way)
     }
 
     /// Minimum reprojection with auto-mask as `objective/photometric.rs` measures it, and smoothness.
@@ -128,9 +138,23 @@ impl LossCore {
         let tape = depth.tape();
         let target = tape.constant(self.target.clone());
         let identities = self.sources.each_ref().map(|source| photometric(tape.constant(source.clone()), target).value());
-        let frames = Frames::new(tape, &self.target, &self.sources, &identities, Combine::Minimum);
-        let best = fused_reprojection(depth, Pose { rotation, translation }, &self.cameras, &frames);
-        [best.mean, smoothness(depth.recip(), &self.target)]
+        let best = match self.way {
+            Way::Fused => {
+                let frames = Frames::new(tape, &self.target, &self.sources, &identities, Combine::Minimum);
+                fused_reprojection(depth, Pose { rotation, translation }, &self.cameras, &frames).mean
+            }
+            Way::Composed => {
+                let n = self.samples();
+                let errors = [0, 1].map(|k| {
+                    let of_source = |motion: Var<'t, f32>| motion.slice(0, k * n, n);
+                    let flow = rigid_flow(depth, of_source(rotation), of_source(translation), &self.cameras[..n]);
+                    let source = tape.constant(self.sources[k].clone());
+                    photometric(warp(source, flow.slice(1, 0, 2), SamplePadding::Border), target)
+                });
+                min_reprojection(&errors, &identities).error.mean()
+            }
+        };
+        [best, smoothness(depth.recip(), &self.target)]
     }
 
     /// The terms of a part with their weights, in the order of [`TERMS`].
