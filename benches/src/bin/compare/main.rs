@@ -110,6 +110,12 @@ fn run(arguments: &Arguments) -> Result<ExitCode> {
     let outcome = measure(arguments, &python, &mut peers, &mut report);
     println!("{}", report.to_markdown());
     outcome?;
+    if let Some(part) = arguments.only.as_ref().filter(|_| report.is_empty()) {
+        let cases = report.topics.iter().flat_map(|topic| topic.cases(false));
+        let names: Vec<_> = cases.map(|case| format!("\n    {}", case.name())).collect();
+        eprintln!("compare: no case of these topics has '{part}' in its name; among their names are{}", names.concat());
+        return Ok(ExitCode::from(2));
+    }
     for text in &report.differing {
         eprintln!("compare: numbers differ: {text}");
     }

@@ -44,6 +44,15 @@ impl Report {
         self.differing.extend(outcome.differing);
     }
 
+    /// Whether there was nothing to measure: no case, not even one that the peer could not run.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+            && self.left_out.is_empty()
+            && self.peaks.is_empty()
+            && self.allocations.is_empty()
+            && self.shares.is_empty()
+    }
+
     /// The tables of a topic.
     fn tables(&self, topic: Topic) -> Vec<Table> {
         let key = topic.key();
