@@ -11,21 +11,27 @@
 //! | 3x3 64-64, 48x160 | Winograd 216 / 215 / 190 | direct 132 / 126, strips 139; product alone 153 |
 //! | 3x3 128-128, 24x80 | Winograd 232 / 245 / 212 | direct 137 / 132, strips 146; product alone 124 |
 //! | 3x3 256-256, 12x40 | Winograd 186 / 197 / 185 | direct 135 / 127, strips 135; product alone 145 |
-//! | 3x3 512-512, 6x20 | direct 127 / 108, Winograd 117 | Winograd 108 / 86, strips 85; product alone 134 |
+//! | 3x3 512-512, 6x20 | Winograd 131 / 115 / 120 | direct 126 / 114, strips 85; product alone 134 |
+//! | 3x3 512-512, 6x20, 2 images | Winograd 154 / 128 / 131 | direct 118 / 103 |
+//! | 3x3 256-256, 6x20, 4 images | Winograd 193 / 189 / 150 | direct 126 / 111 |
 //! | 3x3 16-16, 192x640 | direct 112 / 106, strips 104 | Winograd 99 / 84 / 104; planes for the weights 80 |
 //! | 3x3 32-16, 96x320 | Winograd 133 / 143 / 132 | direct 121 / 117, strips 120; planes for the weights 84 |
-//! | 3x3 stride 2 64-128, 48x160 | direct 117 / 82, strips 127 | |
+//! | 3x3 stride 2 64-128, 48x160 | Winograd 147 / 120, strips 127 | direct 131 / 92 |
+//! | 3x3 stride 2 128-256, 24x80 | Winograd 136 / 104, strips 124 | direct 129 / 91 |
+//! | 3x3 stride 2 256-512, 12x40 | direct 125 / 66, strips 86 | Winograd 107 / 64 |
+//! | 3x3 stride 2 32-64, 16x48, 4 images | direct 102 / 75, strips 104 | Winograd 102 / 74 |
+//! | 3x3 stride 2 16-32, 32x96, 4 images | direct 98 / 65, strips 87 | Winograd 65 / 64 |
 //! | 7x7 stride 2 3-64, 192x640 | direct 132 / 55, strips 104 | |
 //! | 3x3 128-128, 2x6, 4 images | columns 94 / 98 | direct 64 / 45 |
 //! | 3x3 64-64, 4x12, 4 images | columns 105 / 106 | direct 97 / 96 |
 //! | 3x3 stride 2 64-128, 4x12, 4 images | columns 72 / 35 | direct 53 / 30 |
 //! | 3x3 stride 2 32-64, 8x24, 4 images | columns 78, direct 52 | direct 70, columns 44 |
-//! | 3x3 256-256, 6x20 | direct 136 / 122 | columns 125 / 122 |
+//! | 3x3 128-128, 4x12 | columns 115 / 118 | Winograd 63 / 64 |
 //!
 //! A column matrix has nine times the size of the image and must be written and read besides: even in the second-level cache it
 //! pays only where rows are so short that they leave most of the direct product's registers empty, or where the input is its
 //! column matrix already. Winograd's transforms of the weights pay only over many tiles, those of the tiles only over many
-//! channels. In the gradient of the weights it is the transform of the sums that few tiles pay for, and it costs less than the
+//! channels; with stride 2, where they save a third and not a half, over more of both. In the gradient of the weights it is the transform of the sums that few tiles pay for, and it costs less than the
 //! copies of the direct way: a map of one tile is twice as fast. What counts there is that strips of 16 channels are full: 24-24 and
 //! 20-64 gain nothing, 17-17 loses a third. In the direct gradient of the weights, more than 8 outputs go in strips, whose products
 //! reach 140 to 160 alone; up to 8 go by planes, which have nothing to transpose but reach 105.
@@ -40,7 +46,7 @@ pub enum Algorithm {
     Pointwise,
     /// Plane by plane: no channels are mixed, stride 1.
     Depthwise,
-    /// 16 products for four outputs: 3 x 3, stride 1, no dilation, one group, many channels.
+    /// 16 products for four outputs, 25 with stride 2: 3 x 3, no dilation, one group, many channels.
     Winograd,
     /// A product with column matrices: few positions.
     Columns,
@@ -67,11 +73,12 @@ pub fn algorithm(l: &Layout) -> Algorithm {
 
 /// Whether Winograd's scheme fits and is faster.
 fn pays_winograd(l: &Layout) -> bool {
-    // With fewer channels, tiles cost more than they save.
-    let channels = l.cin.min(l.cout) >= 16 && l.cin * l.cout >= 512;
-    // With fewer tiles, the weights do. Those of one image are counted: its bits do not depend on the others beside it.
+    // With fewer channels, tiles cost more than they save; with fewer tiles, the weights do. Tiles of one image are counted: its bits
+    // do not depend on the others beside it.
     let tiles = l.output.h().div_ceil(2) * l.output.w().div_ceil(2);
-    l.is_winograd() && channels && tiles >= 40
+    let channels = l.cin.min(l.cout);
+    let dense = l.is_winograd() && channels >= 16 && l.cin * l.cout >= 512 && tiles >= 30;
+    dense || l.is_winograd_strided() && channels >= 64 && tiles >= 100
 }
 
 /// Whether Winograd's scheme fits the gradient of the weights and is faster.
@@ -115,21 +122,26 @@ mod tests {
             ([4, 64, 64, 48, 160], 3, three, Winograd, true),
             ([1, 128, 128, 24, 80], 3, three, Winograd, true),
             ([1, 256, 256, 12, 40], 3, three, Winograd, true),
-            ([1, 512, 512, 6, 20], 3, three, Direct, true),
+            ([1, 512, 512, 6, 20], 3, three, Winograd, true),
             ([1, 16, 16, 192, 640], 3, three, Direct, false),
             ([1, 16, 1, 192, 640], 3, three, Direct, false),
             ([1, 32, 16, 96, 320], 3, three, Winograd, true),
             ([4, 16, 32, 32, 96], 3, three, Winograd, true),
             ([4, 8, 8, 64, 192], 3, three, Direct, false),
-            ([1, 64, 128, 48, 160], 3, strided, Direct, false),
+            ([1, 64, 128, 48, 160], 3, strided, Winograd, false),
+            ([1, 128, 256, 24, 80], 3, strided, Winograd, false),
+            ([1, 256, 512, 12, 40], 3, strided, Direct, false),
+            ([4, 16, 32, 64, 192], 3, strided, Direct, false),
             ([4, 3, 16, 64, 192], 3, strided, Direct, false),
             ([1, 3, 64, 192, 640], 7, Conv2d::new(2, 3), Direct, false),
             ([4, 128, 128, 2, 6], 3, three, Columns, true),
             ([4, 64, 128, 4, 12], 3, strided, Columns, false),
-            // 40 tiles, 39, and a column matrix for none of them.
-            ([1, 16, 32, 10, 16], 3, three, Winograd, true),
-            ([1, 16, 32, 6, 26], 3, three, Direct, true),
-            ([1, 16, 31, 10, 16], 3, three, Direct, false),
+            // 30 tiles, 29, and a column matrix for none of them; with stride 2, 100 tiles and 99.
+            ([1, 16, 32, 10, 12], 3, three, Winograd, true),
+            ([1, 16, 32, 2, 58], 3, three, Direct, true),
+            ([1, 16, 31, 10, 12], 3, three, Direct, false),
+            ([1, 64, 64, 40, 40], 3, strided, Winograd, false),
+            ([1, 64, 64, 36, 44], 3, strided, Direct, false),
             // 64 positions of one image, whatever lies beside it; 65.
             ([9, 16, 16, 8, 8], 3, three, Columns, false),
             ([1, 16, 16, 5, 13], 3, three, Direct, false),

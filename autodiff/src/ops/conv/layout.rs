@@ -84,8 +84,17 @@ impl Layout {
 
     /// Whether Winograd's scheme fits: a kernel of 3 x 3 taps next to each other, stride 1, one group, at most the full padding.
     pub fn is_winograd(&self) -> bool {
+        self.is_dense() && self.is_three_by_three() && self.reach() == (2, 2)
+    }
+
+    /// Whether that of stride 2 does, in both directions.
+    pub fn is_winograd_strided(&self) -> bool {
+        self.stride == (2, 2) && self.is_three_by_three() && self.reach() == (1, 1) && self.phases.len() == 4
+    }
+
+    fn is_three_by_three(&self) -> bool {
         let (above, before) = self.padding();
-        self.is_dense() && self.groups == 1 && self.taps == 9 && self.reach() == (2, 2) && above.max(before) <= 2
+        self.groups == 1 && self.taps == 9 && above.max(before) <= 2
     }
 
     /// Elements of one phase plane.

@@ -14,6 +14,7 @@ pub mod weight_grad;
 pub mod weight_outer;
 mod winograd;
 pub mod winograd_kernels;
+mod winograd_schemes;
 mod winograd_weight;
 pub mod winograd_weight_kernels;
 

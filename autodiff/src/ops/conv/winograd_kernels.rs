@@ -1,21 +1,25 @@
-//! The four kernels of Winograd's scheme, each on one thread: weights and inputs to the 16 products of a tile, the products, and
-//! back to the four outputs.
+//! The four kernels of Winograd's schemes, each on one thread: transforms of weights and inputs, sums of their products, and
+//! back to the outputs.
 
 use pulp::{Arch, Simd, WithSimd};
 
+use super::winograd_schemes::{Dense, Kind, MOST, Scheme, Strided, StridedInput, Transforms, WEIGHTS, with_scheme};
 use crate::Scalar;
 use crate::simd::{Wide, unroll};
 
-/// Products of one tile.
-pub const PRODUCTS: usize = 16;
-/// Most output channels whose weights lie side by side.
-pub const GROUP: usize = 64;
+/// Planes of transformed weights.
+pub const WEIGHT_PLANES: usize = WEIGHTS * WEIGHTS;
+/// Most planes of transformed inputs.
+pub const INPUT_PLANES: usize = MOST * MOST;
 /// Output channels of a register block.
 pub const BLOCK: usize = 8;
+/// Products after which partial sums are put down, so that what is read again and again stays in the nearest cache.
+pub const SUMMED: usize = 128;
 /// Taps of the kernel.
 const TAPS: usize = 9;
-/// Weights of a group of outputs, transformed: `G w G'` with `G = [1 0 0; 1/2 1/2 1/2; 1/2 -1/2 1/2; 0 0 1]`.
+/// Weights of a group of outputs, transformed.
 pub struct Weights<'a, T> {
+    pub kind: Kind,
     /// From the group's first output on: tap `t` of output `o`, channel `c` is at `o * steps[0] + c * steps[1] + t`.
     pub w: &'a [T],
     pub steps: [usize; 2],
@@ -23,21 +27,32 @@ pub struct Weights<'a, T> {
     pub turned: bool,
     pub outputs: usize,
     pub channels: usize,
-    /// Outputs side by side: a multiple of [`STRIP`].
-    pub width: usize,
-    /// `[product][channel][width]`, products `step` apart; zeros beyond the last output, to the end of its strip.
+    /// `[plane][strip of outputs][channel][output]`, planes `step` apart; zeros beyond the last output.
     pub out: &'a mut [T],
     pub step: usize,
 }
 
-/// Outputs and input channels whose weights are transformed at one time.
-const STRIP: usize = 16;
+/// Outputs whose weights lie side by side.
+pub const STRIP: usize = 16;
+/// Input channels whose weights are transformed at one time.
 const SOME: usize = 32;
 
 impl<T: Scalar> WithSimd for Weights<'_, T> {
     type Output = ();
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
+        with_scheme!(self.kind, K => self.transform::<S, K>(simd));
+    }
+}
+
+impl<T: Scalar> Weights<'_, T> {
+    /// Runs the kernel on the processor's widest registers.
+    pub fn run(self) {
+        Arch::new().dispatch(self);
+    }
+
+    #[inline(always)]
+    fn transform<S: Simd, K: Transforms>(self, simd: S) {
         let half = Wide::<S, T>::splat(simd, T::from_f64(0.5));
         // A cache line more: all taps would share one place of the nearest cache otherwise.
         let mut taps = [[T::ZERO; SOME * STRIP + 16]; TAPS];
@@ -57,8 +72,8 @@ impl<T: Scalar> WithSimd for Weights<'_, T> {
                 }
                 for lane in (0..STRIP).step_by(T::lanes::<S>()) {
                     for i in 0..channels {
-                        let out = &mut self.out[(c + i) * self.width + o + lane..];
-                        transform_weights(simd, &taps, i * STRIP + lane, self.turned, half, out, self.step);
+                        let out = &mut self.out[o * self.channels + (c + i) * STRIP + lane..];
+                        transform_weights::<S, T, K, _>(simd, &taps, i * STRIP + lane, self.turned, half, out, self.step);
                     }
                 }
             }
@@ -87,7 +102,7 @@ fn collect<T: Scalar, const N: usize>(
 }
 
 #[inline(always)]
-fn transform_weights<S: Simd, T: Scalar, const N: usize>(
+fn transform_weights<S: Simd, T: Scalar, K: Transforms, const N: usize>(
     simd: S,
     taps: &[[T; N]; TAPS],
     at: usize,
@@ -96,28 +111,23 @@ fn transform_weights<S: Simd, T: Scalar, const N: usize>(
     out: &mut [T],
     step: usize,
 ) {
-    let mut rows = [[half; 4]; 3];
+    let mut rows = [[half; WEIGHTS]; 3];
     unroll!(I in 0 1 2 => {
         let [a, b, c] = if turned { [8 - 3 * I, 7 - 3 * I, 6 - 3 * I] } else { [3 * I, 3 * I + 1, 3 * I + 2] };
         let (a, b) = (Wide::load(simd, &taps[a][at..]), Wide::load(simd, &taps[b][at..]));
-        rows[I] = spread_weights([a, b, Wide::load(simd, &taps[c][at..])], half);
+        rows[I] = K::weights([a, b, Wide::load(simd, &taps[c][at..])], half);
     });
     unroll!(J in 0 1 2 3 => {
-        let column = spread_weights([rows[0][J], rows[1][J], rows[2][J]], half);
+        let column = K::weights([rows[0][J], rows[1][J], rows[2][J]], half);
         unroll!(I in 0 1 2 3 => {
-            column[I].store(&mut out[(4 * I + J) * step..]);
+            column[I].store(&mut out[(WEIGHTS * I + J) * step..]);
         });
     });
 }
 
-#[inline(always)]
-fn spread_weights<S: Simd, T: Scalar>([a, b, c]: [Wide<S, T>; 3], half: Wide<S, T>) -> [Wide<S, T>; 4] {
-    let (ends, middle) = (half * (a + c), half * b);
-    [a, ends + middle, ends - middle, c]
-}
-
-/// Rows of tiles of one input plane, transformed: `B' d B` of every 4 x 4 patch, `B' = [1 0 -1 0; 0 1 1 0; 0 -1 1 0; 0 1 0 -1]`.
+/// Rows of tiles of one input plane, transformed.
 pub struct Inputs<'a, 'b, T> {
+    pub kind: Kind,
     /// Rows of `width`.
     pub x: &'a [T],
     pub width: usize,
@@ -130,8 +140,8 @@ pub struct Inputs<'a, 'b, T> {
     pub tiles: [usize; 2],
     /// [`Inputs::scratch`] elements.
     pub scratch: &'a mut [T],
-    /// Where each product starts; tiles follow each other, with a register's space behind the last one.
-    pub out: &'a mut [&'b mut [T]; PRODUCTS],
+    /// Where each plane starts; tiles follow each other, with a register's space behind the last one.
+    pub out: &'a mut [&'b mut [T]; INPUT_PLANES],
     pub start: usize,
 }
 
@@ -147,22 +157,19 @@ impl<T: Scalar> Inputs<'_, '_, T> {
         Arch::new().dispatch(self);
     }
 
-    /// Elements of scratch.
-    pub fn scratch([rows, columns]: [usize; 2]) -> usize {
-        // Rows are taken apart into even and odd columns; one more has the whole row.
-        (2 * (2 * rows + 2) + 2) * phase_len(columns)
+    /// Elements of scratch: rows are taken apart into phases, of every so many columns; one more has the whole row.
+    pub fn scratch(kind: Kind, [rows, columns]: [usize; 2]) -> usize {
+        let Scheme { step, read, .. } = kind.scheme();
+        ((rows - 1) * step + read + 1) * step * phase_len(columns)
     }
-}
 
-impl<T: Scalar> WithSimd for Inputs<'_, '_, T> {
-    type Output = ();
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Inputs { x, width, rows, cols, pad, tiles: [high, wide], scratch, out, start } = self;
+    fn transform<S: Simd, K: Transforms>(self, simd: S) {
+        let Inputs { x, width, rows, cols, pad, tiles: [high, wide], scratch, out, start, .. } = self;
+        let Scheme { step, read, inputs, .. } = K::SCHEME;
         let phase = phase_len(wide);
-        let (whole, phases) = scratch.split_at_mut(2 * phase);
-        for (y, apart) in phases.chunks_exact_mut(2 * phase).enumerate() {
-            let (even, odd) = apart.split_at_mut(phase);
+        let (whole, phases) = scratch.split_at_mut(step * phase);
+        for (y, apart) in phases.chunks_exact_mut(step * phase).enumerate() {
             let Some(row) = rows.get(y).copied().flatten() else {
                 apart.fill(T::ZERO);
                 continue;
@@ -173,44 +180,80 @@ impl<T: Scalar> WithSimd for Inputs<'_, '_, T> {
                 whole[i] = cols[i].map_or(T::ZERO, |c| row[c]);
             }
             whole[cols.len()..].fill(T::ZERO);
-            for ((even, odd), pair) in even.iter_mut().zip(odd).zip(whole.as_chunks::<2>().0) {
-                [*even, *odd] = *pair;
+            // What registers read beyond is not used.
+            let whole = &whole[..(wide + 1) * step];
+            let (first, second) = apart.split_at_mut(step / 2 * phase);
+            if step == 2 {
+                halves(whole, first, second);
+            } else {
+                let ((a, b), (c, d)) = (first.split_at_mut(phase), second.split_at_mut(phase));
+                quarters(whole, [a, b, c, d]);
             }
         }
         let lanes = T::lanes::<S>();
+        let zero = Wide::splat(simd, T::ZERO);
         for row in 0..high {
-            let rows = &phases[4 * row * phase..][..8 * phase];
+            let rows = &phases[row * step * step * phase..][..read * step * phase];
             for at in (0..wide).step_by(lanes) {
-                let mut columns = [[Wide::splat(simd, T::ZERO); 4]; 4];
-                unroll!(I in 0 1 2 3 => {
-                    let (even, odd) = rows[2 * I * phase + at..].split_at(phase);
-                    let (a, b) = (Wide::load(simd, even), Wide::load(simd, odd));
-                    let (c, d) = (Wide::load(simd, &even[1..]), Wide::load(simd, &odd[1..]));
-                    columns[I] = spread([a, b, c, d]);
+                let mut columns = [[zero; MOST]; MOST];
+                unroll!(I in 0 1 2 3 4 => {
+                    if I < read {
+                        let mut values = [zero; MOST];
+                        unroll!(J in 0 1 2 3 4 => {
+                            if J < read {
+                                values[J] = Wide::load(simd, &rows[(I * step + J % step) * phase + at + J / step..]);
+                            }
+                        });
+                        columns[I] = K::inputs(values);
+                    }
                 });
-                unroll!(J in 0 1 2 3 => {
-                    let column = spread([columns[0][J], columns[1][J], columns[2][J], columns[3][J]]);
-                    unroll!(I in 0 1 2 3 => {
-                        column[I].store(&mut out[4 * I + J][start + row * wide + at..]);
-                    });
+                unroll!(J in 0 1 2 3 4 => {
+                    if J < inputs {
+                        let column = K::inputs([columns[0][J], columns[1][J], columns[2][J], columns[3][J], columns[4][J]]);
+                        unroll!(I in 0 1 2 3 4 => {
+                            if I < inputs {
+                                column[I].store(&mut out[inputs * I + J][start + row * wide + at..]);
+                            }
+                        });
+                    }
                 });
             }
         }
     }
 }
 
-#[inline(always)]
-fn spread<S: Simd, T: Scalar>([a, b, c, d]: [Wide<S, T>; 4]) -> [Wide<S, T>; 4] {
-    [a - c, b + c, c - b, b - d]
+impl<T: Scalar> WithSimd for Inputs<'_, '_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        with_scheme!(self.kind, K => self.transform::<S, K>(simd));
+    }
 }
 
-/// Sums over the input channels: for each product, a block of outputs times all tiles.
+/// The even and the odd columns of a row.
+#[inline(always)]
+fn halves<T: Scalar>(whole: &[T], even: &mut [T], odd: &mut [T]) {
+    for ((pair, even), odd) in whole.as_chunks::<2>().0.iter().zip(even).zip(odd) {
+        [*even, *odd] = *pair;
+    }
+}
+
+/// Every fourth column of a row, from each of the first four on.
+#[inline(always)]
+fn quarters<T: Scalar>(whole: &[T], apart: [&mut [T]; 4]) {
+    let [a, b, c, d] = apart;
+    for ((((four, a), b), c), d) in whole.as_chunks::<4>().0.iter().zip(a).zip(b).zip(c).zip(d) {
+        [*a, *b, *c, *d] = *four;
+    }
+}
+
+/// Sums over the input channels: for each sum of the scheme, a block of outputs times all tiles.
 pub struct Products<'a, T> {
-    /// `[product][channel][width]`, products `weights_step` apart.
+    pub kind: Kind,
+    /// As [`Weights`] leaves them, planes `weights_step` apart.
     pub weights: &'a [T],
-    pub width: usize,
     pub weights_step: usize,
-    /// Product `p` starts at `p * step`, its channels are `pitch` apart.
+    /// Plane `p` starts at `p * step`, its channels are `pitch` apart.
     pub inputs: &'a [T],
     pub step: usize,
     pub pitch: usize,
@@ -219,7 +262,7 @@ pub struct Products<'a, T> {
     pub len: usize,
     /// Outputs, a multiple of [`BLOCK`].
     pub outputs: usize,
-    /// `[product][output][pitch]`.
+    /// `[sum][output][pitch]`.
     pub out: &'a mut [T],
     /// Whether to add to `out` rather than to fill it.
     pub add: bool,
@@ -233,46 +276,84 @@ impl<T: Scalar> WithSimd for Products<'_, T> {
         // 32 registers with the widest ones, else 16.
         let many = lanes * size_of::<T>() == 64;
         let p = &mut self;
-        for product in 0..PRODUCTS {
-            let mut at = 0;
-            while at < p.len {
-                let left = (p.len - at).div_ceil(lanes);
-                // Two and two cost less than three and one.
-                let registers = if left == 4 { 2 } else { left.min(3) };
-                for o in (0..p.outputs).step_by(BLOCK) {
-                    match (registers, many) {
-                        (3, true) => block::<T, S, 8, 3>(p, simd, product, o, at),
-                        (2, true) => block::<T, S, 8, 2>(p, simd, product, o, at),
-                        (3, false) => {
-                            block::<T, S, 4, 3>(p, simd, product, o, at);
-                            block::<T, S, 4, 3>(p, simd, product, o + 4, at);
-                        }
-                        (2, false) => {
-                            block::<T, S, 4, 2>(p, simd, product, o, at);
-                            block::<T, S, 4, 2>(p, simd, product, o + 4, at);
-                        }
-                        _ => block::<T, S, 8, 1>(p, simd, product, o, at),
+        let Scheme { sums, inputs, .. } = p.kind.scheme();
+        let together = (SUMMED / p.channels).max(1);
+        for (i, rows) in sums.iter().enumerate() {
+            for (j, columns) in sums.iter().enumerate() {
+                let (mut terms, mut count) = ([Term::default(); TERMS], 0);
+                for row in *rows {
+                    for column in *columns {
+                        let weights = (row.0 * WEIGHTS + column.0) * p.weights_step;
+                        terms[count] = Term { weights, inputs: (row.1 * inputs + column.1) * p.step };
+                        count += 1;
                     }
                 }
-                at += registers * lanes;
+                let out = (i * sums.len() + j) * p.outputs * p.pitch;
+                let mut at = 0;
+                while at < p.len {
+                    let left = (p.len - at).div_ceil(lanes);
+                    // Two and two cost less than three and one.
+                    let registers = if left == 4 { 2 } else { left.min(3) };
+                    for (i, terms) in terms[..count].chunks(together).enumerate() {
+                        for o in (0..p.outputs).step_by(BLOCK) {
+                            let place = Place { output: o, tile: at, out: out + o * p.pitch + at, add: p.add || i > 0 };
+                            match (registers, many) {
+                                (3, true) => block::<T, S, 8, 3>(p, simd, terms, place),
+                                (2, true) => block::<T, S, 8, 2>(p, simd, terms, place),
+                                (3, false) => {
+                                    block::<T, S, 4, 3>(p, simd, terms, place);
+                                    block::<T, S, 4, 3>(p, simd, terms, place.below(4, p.pitch));
+                                }
+                                (2, false) => {
+                                    block::<T, S, 4, 2>(p, simd, terms, place);
+                                    block::<T, S, 4, 2>(p, simd, terms, place.below(4, p.pitch));
+                                }
+                                _ => block::<T, S, 8, 1>(p, simd, terms, place),
+                            }
+                        }
+                    }
+                    at += registers * lanes;
+                }
             }
         }
     }
 }
 
-/// Outputs from `o` on times the `V` registers of tiles from `at` on.
+/// Most products of a sum.
+const TERMS: usize = 4;
+
+/// Where the planes of a product start.
+#[derive(Clone, Copy, Default)]
+struct Term {
+    weights: usize,
+    inputs: usize,
+}
+
+/// Where a block of products starts.
+#[derive(Clone, Copy)]
+struct Place {
+    output: usize,
+    tile: usize,
+    out: usize,
+    /// Whether to add to `out` rather than to fill it.
+    add: bool,
+}
+
+impl Place {
+    /// The same for later outputs.
+    #[inline(always)]
+    fn below(self, outputs: usize, pitch: usize) -> Self {
+        Place { output: self.output + outputs, out: self.out + outputs * pitch, ..self }
+    }
+}
+
+/// `O` outputs times `V` registers of tiles.
 #[inline(always)]
-fn block<T: Scalar, S: Simd, const O: usize, const V: usize>(
-    p: &mut Products<'_, T>,
-    simd: S,
-    product: usize,
-    o: usize,
-    at: usize,
-) {
+fn block<T: Scalar, S: Simd, const O: usize, const V: usize>(p: &mut Products<'_, T>, simd: S, terms: &[Term], place: Place) {
     let lanes = T::lanes::<S>();
-    let out = &mut p.out[(product * p.outputs + o) * p.pitch + at..];
+    let out = &mut p.out[place.out..];
     let mut acc = [[T::splat(simd, T::ZERO); V]; O];
-    if p.add {
+    if place.add {
         unroll!(K in 0 1 2 3 4 5 6 7 => {
             if K < O {
                 unroll!(L in 0 1 2 => {
@@ -283,21 +364,24 @@ fn block<T: Scalar, S: Simd, const O: usize, const V: usize>(
             }
         });
     }
-    let inputs = p.inputs[product * p.step + at..].chunks(p.pitch);
-    let weights = p.weights[product * p.weights_step..][..p.channels * p.width].chunks_exact(p.width);
-    for (x, w) in inputs.zip(weights) {
-        let x = &T::registers::<S>(&x[..V * lanes])[..V];
-        let w = &w[o..][..O];
-        unroll!(K in 0 1 2 3 4 5 6 7 => {
-            if K < O {
-                let w = T::splat(simd, w[K]);
-                unroll!(L in 0 1 2 => {
-                    if L < V {
-                        acc[K][L] = T::fma(simd, w, x[L], acc[K][L]);
-                    }
-                });
-            }
-        });
+    let strip = place.output / STRIP * STRIP * p.channels + place.output % STRIP;
+    for term in terms {
+        let inputs = p.inputs[term.inputs + place.tile..].chunks(p.pitch);
+        let weights = p.weights[term.weights + strip..].chunks(STRIP);
+        for (x, w) in inputs.zip(weights).take(p.channels) {
+            let x = &T::registers::<S>(&x[..V * lanes])[..V];
+            let w = &w[..O];
+            unroll!(K in 0 1 2 3 4 5 6 7 => {
+                if K < O {
+                    let w = T::splat(simd, w[K]);
+                    unroll!(L in 0 1 2 => {
+                        if L < V {
+                            acc[K][L] = T::fma(simd, w, x[L], acc[K][L]);
+                        }
+                    });
+                }
+            });
+        }
     }
     unroll!(K in 0 1 2 3 4 5 6 7 => {
         if K < O {
@@ -310,17 +394,20 @@ fn block<T: Scalar, S: Simd, const O: usize, const V: usize>(
     });
 }
 
-/// Rows of tiles of one output plane: `A' m A` with `A' = [1 1 1 0; 0 1 -1 -1]` of the 16 products of every tile.
+/// Rows of tiles of one output plane, from the sums of every tile.
 pub struct Outputs<'a, T> {
-    /// The output's first tile; products are `step` apart, tiles follow each other, with a register's space behind the last one.
-    pub products: &'a [T],
+    pub kind: Kind,
+    /// The output's first tile; sums are `step` apart, tiles follow each other, with a register's space behind the last one.
+    pub sums: &'a [T],
     pub step: usize,
     /// Columns of tiles.
     pub tiles: usize,
+    /// Rows and columns of the first tiles that are not wanted.
+    pub skip: [usize; 2],
     pub bias: T,
     /// [`Outputs::scratch`] elements.
     pub scratch: &'a mut [T],
-    /// Rows of `width`, two to a row of tiles; the last one may be missing.
+    /// Rows of `width`; the last ones of the last tiles may be missing.
     pub out: &'a mut [T],
     pub width: usize,
 }
@@ -331,9 +418,55 @@ impl<T: Scalar> Outputs<'_, T> {
         Arch::new().dispatch(self);
     }
 
-    /// Elements of scratch.
-    pub fn scratch(tiles: usize) -> usize {
-        4 * phase_len(tiles)
+    /// Elements of scratch: one row of tiles.
+    pub fn scratch(kind: Kind, tiles: usize) -> usize {
+        kind.scheme().outputs.pow(2) * phase_len(tiles)
+    }
+
+    #[inline(always)]
+    fn transform<S: Simd, K: Transforms>(self, simd: S) {
+        let lanes = T::lanes::<S>();
+        let Outputs { sums, step, tiles, skip, bias, scratch, out, width, .. } = self;
+        let (count, outputs) = (K::SCHEME.sums.len(), K::SCHEME.outputs);
+        let phase = phase_len(tiles);
+        let bias = Wide::splat(simd, bias);
+        let mut wanted = out.chunks_exact_mut(width);
+        let (mut unwanted, mut tile) = (skip[0], 0);
+        while wanted.len() > 0 {
+            for at in (0..tiles).step_by(lanes) {
+                let sums = &sums[tile * tiles + at..];
+                let mut columns = [[bias; MOST]; MOST];
+                unroll!(J in 0 1 2 3 4 => {
+                    if J < count {
+                        let mut column = [bias; MOST];
+                        unroll!(I in 0 1 2 3 4 => {
+                            if I < count {
+                                column[I] = Wide::load(simd, &sums[(count * I + J) * step..]);
+                            }
+                        });
+                        columns[J] = K::outputs(column);
+                    }
+                });
+                unroll!(I in 0 1 2 3 4 => {
+                    if I < outputs {
+                        let row = K::outputs([columns[0][I], columns[1][I], columns[2][I], columns[3][I], columns[4][I]]);
+                        unroll!(J in 0 1 2 3 4 => {
+                            if J < outputs {
+                                (row[J] + bias).store(&mut scratch[(I * outputs + J) * phase + at..]);
+                            }
+                        });
+                    }
+                });
+            }
+            for (apart, out) in scratch.chunks_exact(outputs * phase).take(outputs).skip(unwanted).zip(&mut wanted) {
+                if outputs == 2 {
+                    put_together::<T, 2>(apart, phase, skip[1], out);
+                } else {
+                    put_together::<T, 4>(apart, phase, skip[1], out);
+                }
+            }
+            (unwanted, tile) = (0, tile + 1);
+        }
     }
 }
 
@@ -341,48 +474,32 @@ impl<T: Scalar> WithSimd for Outputs<'_, T> {
     type Output = ();
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let lanes = T::lanes::<S>();
-        let Outputs { products, step, tiles, bias, scratch, out, width } = self;
-        let phase = phase_len(tiles);
-        let bias = Wide::splat(simd, bias);
-        for (row, out) in out.chunks_mut(2 * width).enumerate() {
-            for at in (0..tiles).step_by(lanes) {
-                let products = &products[row * tiles + at..];
-                let mut columns = [[bias; 2]; 4];
-                unroll!(J in 0 1 2 3 => {
-                    let (a, b) = (Wide::load(simd, &products[J * step..]), Wide::load(simd, &products[(4 + J) * step..]));
-                    let (c, d) = (Wide::load(simd, &products[(8 + J) * step..]), Wide::load(simd, &products[(12 + J) * step..]));
-                    columns[J] = gather([a, b, c, d]);
-                });
-                unroll!(I in 0 1 => {
-                    let row = gather([columns[0][I], columns[1][I], columns[2][I], columns[3][I]]);
-                    (row[0] + bias).store(&mut scratch[2 * I * phase + at..]);
-                    (row[1] + bias).store(&mut scratch[(2 * I + 1) * phase + at..]);
-                });
-            }
-            for (out, apart) in out.chunks_exact_mut(width).zip(scratch.chunks_exact(2 * phase)) {
-                let (even, odd) = apart.split_at(phase);
-                let (pairs, last) = out.as_chunks_mut::<2>();
-                for (pair, (&even, &odd)) in pairs.iter_mut().zip(even.iter().zip(odd)) {
-                    *pair = [even, odd];
-                }
-                if let [last] = last {
-                    *last = even[width / 2];
-                }
-            }
-        }
+        with_scheme!(self.kind, K => self.transform::<S, K>(simd));
     }
 }
 
+/// A row from its phases, but for its first `skip` columns.
 #[inline(always)]
-fn gather<S: Simd, T: Scalar>([a, b, c, d]: [Wide<S, T>; 4]) -> [Wide<S, T>; 2] {
-    [a + b + c, b - c - d]
-}
-
-impl<T: Scalar> Weights<'_, T> {
-    /// Runs the kernel on the processor's widest registers.
-    pub fn run(self) {
-        Arch::new().dispatch(self);
+fn put_together<T: Scalar, const N: usize>(apart: &[T], phase: usize, skip: usize, out: &mut [T]) {
+    // To the first column of a tile, whole tiles, and the rest.
+    let (head, out) = out.split_at_mut((skip.next_multiple_of(N) - skip).min(out.len()));
+    for (i, head) in head.iter_mut().enumerate() {
+        *head = apart[(skip + i) * phase];
+    }
+    let (tiles, rest) = out.as_chunks_mut::<N>();
+    let count = tiles.len();
+    let apart = |k: usize| &apart[k * phase + skip.div_ceil(N)..][..count + 1];
+    for (k, rest) in rest.iter_mut().enumerate() {
+        *rest = apart(k)[count];
+    }
+    if N == 2 {
+        for ((tile, &a), &b) in tiles.iter_mut().zip(apart(0)).zip(apart(1)) {
+            (tile[0], tile[1]) = (a, b);
+        }
+    } else {
+        for ((((tile, &a), &b), &c), &d) in tiles.iter_mut().zip(apart(0)).zip(apart(1)).zip(apart(2)).zip(apart(3)) {
+            (tile[0], tile[1], tile[2], tile[3]) = (a, b, c, d);
+        }
     }
 }
 

@@ -13,8 +13,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::layout::{Layout, source_indices};
-use super::winograd_kernels::PRODUCTS;
-use super::winograd_weight_kernels::{Factors, GROUP_LEN, GROUPED, STRIP, Sums, TAPS, Taps, Tiles};
+use super::winograd_weight_kernels::{Factors, GROUP_LEN, GROUPED, PRODUCTS, STRIP, Sums, TAPS, Taps, Tiles};
 use crate::{PadMode, Pool, Scalar, par};
 
 /// Most outputs and most input channels of a unit.

@@ -6,9 +6,11 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::winograd_kernels::PRODUCTS;
 use crate::Scalar;
 use crate::simd::{Wide, unroll};
+
+/// Products of one tile.
+pub const PRODUCTS: usize = 16;
 
 /// Channels that are brought side by side at one time.
 pub const STRIP: usize = 16;
