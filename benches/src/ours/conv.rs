@@ -56,6 +56,8 @@ pub const DIRECT: ConvCase = shape("3x3 dilation 2 128-128 24x80", [1, 128, 128,
 /// Share of the definition's multiplications that Winograd's scheme F(2x2, 3x3) executes in its products, its transforms left
 /// out: 16 for four outputs where the definition has 36.
 pub const WINOGRAD_SHARE: f64 = 16.0 / 36.0;
+/// That of the scheme for stride 2.
+const STRIDED_SHARE: f64 = 25.0 / 36.0;
 
 const fn shape(name: &'static str, sizes: [usize; 10]) -> ConvCase {
     let [batch, inputs, outputs, height, width, kernel, stride, padding, dilation, groups] = sizes;
@@ -81,30 +83,40 @@ impl ConvCase {
 
     /// Floating-point operations that the products execute forward: fewer where the shape goes by Winograd's scheme.
     pub fn executed_flops(&self) -> f64 {
-        self.flops() * if self.goes_by_winograd() { WINOGRAD_SHARE } else { 1.0 }
+        let share = match (self.goes_by_winograd(), self.stride) {
+            (false, _) => 1.0,
+            (true, 1) => WINOGRAD_SHARE,
+            (true, _) => STRIDED_SHARE,
+        };
+        self.flops() * share
     }
 
     /// Whether the convolution goes by Winograd's scheme here.
     ///
-    /// Nothing public tells, but the numbers do. Weights of one in the middle return the input, and so does every sum
-    /// of products, whatever its order. The scheme adds neighbours first: beside large ones, small ones are lost.
+    /// Nothing public tells, but the numbers do. A weight of one at a single tap returns inputs, and so does every sum of products,
+    /// whatever its order. The scheme adds neighbours first, with stride 2 those of the same phase: beside large ones, small ones
+    /// are lost.
     pub fn goes_by_winograd(&self) -> bool {
-        if (self.kernel, self.stride, self.padding, self.dilation, self.groups) != (3, 1, 1, 1, 1) {
+        if (self.kernel, self.padding, self.dilation, self.groups) != (3, 1, 1, 1) || self.stride > 2 {
             return false;
         }
         let one = Self { batch: 1, ..self.clone() };
         let (xs, ws) = (one.input_shape(), one.weight_shape());
-        let column = |i: usize| if (i % self.width).is_multiple_of(2) { 1.0_f32 } else { 1e9 };
+        let column = |i: usize| if (i % self.width / self.stride).is_multiple_of(2) { 1e9 } else { 1.0_f32 };
+        // The middle; with stride 2, where it has a phase of its own, the last one, whose inputs are those of odd rows and columns.
+        let tap = 4 * self.stride;
         let x: Vec<f32> = (0..xs.len()).map(column).collect();
         let mut weight = vec![0.0; ws.len()];
         for o in 0..self.outputs {
-            weight[(o * self.inputs + o % self.inputs) * 9 + 4] = 1.0;
+            weight[(o * self.inputs + o % self.inputs) * 9 + tap] = 1.0;
         }
         let tape = Tape::new();
         let [x, weight] = [(xs, x), (ws, weight)].map(|(shape, data)| tape.constant(Tensor::from_vec(shape, data)));
         let (x, y) = (x.value(), x.conv2d(weight, None, one.options()).value());
-        let plane = self.height * self.width;
-        y.data().chunks(plane).any(|y| y != &x.data()[..plane])
+        let (first, step) = (self.stride - 1, self.stride);
+        let rows = x.data()[..self.height * self.width].chunks(self.width).skip(first).step_by(step);
+        let wanted: Vec<f32> = rows.flat_map(|row| row.iter().skip(first).step_by(step).copied()).collect();
+        y.data().chunks(wanted.len()).any(|y| y != wanted)
     }
 
     /// Bytes that must be read or written forward: input, weight, output.
@@ -222,7 +234,9 @@ mod tests {
     fn only_neighbouring_taps_of_many_channels_go_by_winograd() {
         let of = |name: &str| SHAPES.into_iter().find(|case| case.name == name).expect("a shape of the list");
         assert!(of("3x3 128-128 24x80").goes_by_winograd());
-        let direct = [of("3x3 8-8 64x192 b4"), of("3x3 16-1 192x640"), of("3x3 stride 2 64-128 48x160"), DIRECT];
+        let strided = of("3x3 stride 2 64-128 48x160");
+        assert!(strided.goes_by_winograd() && strided.executed_flops() == strided.flops() * (25.0 / 36.0));
+        let direct = [of("3x3 8-8 64x192 b4"), of("3x3 16-1 192x640"), of("3x3 stride 2 3-16 64x192 b4"), DIRECT];
         assert!(direct.iter().all(|case| !case.goes_by_winograd() && case.executed_flops() == case.flops()));
         assert_eq!(DIRECT.flops(), of("3x3 128-128 24x80").flops());
     }

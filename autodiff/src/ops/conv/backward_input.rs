@@ -4,7 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use super::direct::{BLOCK, Direct, Tap, blocks, padded_len};
+use super::direct::{BLOCK, Direct, Tap, blocks, padded_len, split};
 use super::forward::tile_rows;
 use super::layout::Layout;
 use crate::{PadMode, Pool, Scalar, par};
@@ -20,29 +20,40 @@ pub fn backward_input<T: Scalar>(l: &Layout, g: &[T], w: &[T], dx: &mut [T], poo
         })
         .collect();
     let output_stride = l.taps;
+    // Whole registers of rows without a mirrored border need no place of their own.
+    let in_place = l.is_dense() && l.pad_mode == PadMode::Zero && padded_len(l.input.w()) == l.input.w();
     par::for_each_item(units(l, dx, tile_rows(pitch, l.cout)), |_, mut unit| {
         let Range { start, end } = unit.phase_rows.clone();
-        let len = (end - start - 1) * pitch + l.phase_w;
-        let row_pitch = padded_len(len);
+        let direct = |taps| Direct {
+            x: &bordered[(unit.image * l.groups + unit.group) * l.cout * plane_len + start * pitch..],
+            channel_len: plane_len,
+            channels: l.cout,
+            weights: &w[(unit.group * l.cout * l.cin + unit.start) * l.taps..],
+            output_stride,
+            channel_stride: l.cin * l.taps,
+            taps,
+            kernel: l.taps,
+            rows: 1,
+            len: (end - start - 1) * pitch + l.phase_w,
+            pitches: [0, 0],
+            out: &mut [],
+            bias: &[],
+            add: false,
+        };
+        if in_place {
+            let (width, before) = (l.input.w(), l.padding().1);
+            let (direct, out) = (direct(&phases[0]), &mut unit.out[..unit.width]);
+            let x = &direct.x[before..];
+            T::run_direct(Direct { x, rows: end - start, len: width, pitches: [pitch, width], out, ..direct });
+            return;
+        }
+        let row_pitch = padded_len((end - start - 1) * pitch + l.phase_w);
         let mut scratch = pool.take(unit.width * row_pitch);
         if !l.is_dense() {
             unit.out.iter_mut().for_each(|out| out.fill(T::ZERO));
         }
         for (phase, taps) in phases.iter().enumerate() {
-            T::run_direct(Direct {
-                x: &bordered[(unit.image * l.groups + unit.group) * l.cout * plane_len + start * pitch..],
-                channel_len: plane_len,
-                channels: l.cout,
-                weights: &w[(unit.group * l.cout * l.cin + unit.start) * l.taps..],
-                output_stride,
-                channel_stride: l.cin * l.taps,
-                taps,
-                kernel: l.taps,
-                len,
-                out: &mut scratch,
-                width: unit.width,
-                add: false,
-            });
+            T::run_direct(Direct { out: &mut split(&mut scratch, unit.width)[..unit.width], ..direct(taps) });
             for (out, flat) in unit.out.iter_mut().zip(scratch.chunks_exact(row_pitch)) {
                 let rows = flat.chunks(pitch).zip(start..end);
                 if l.is_dense() {

@@ -14,14 +14,14 @@
 //! | 3x3 512-512, 6x20 | Winograd 131 / 115 / 120 | direct 126 / 114, strips 85; product alone 134 |
 //! | 3x3 512-512, 6x20, 2 images | Winograd 154 / 128 / 131 | direct 118 / 103 |
 //! | 3x3 256-256, 6x20, 4 images | Winograd 193 / 189 / 150 | direct 126 / 111 |
-//! | 3x3 16-16, 192x640 | direct 112 / 106, strips 104 | Winograd 99 / 84 / 104; planes for the weights 80 |
+//! | 3x3 16-16, 192x640 | direct 124 / 113, strips 104 | Winograd 99 / 84 / 104; planes for the weights 80 |
 //! | 3x3 32-16, 96x320 | Winograd 133 / 143 / 132 | direct 121 / 117, strips 120; planes for the weights 84 |
 //! | 3x3 stride 2 64-128, 48x160 | Winograd 147 / 120, strips 127 | direct 131 / 92 |
 //! | 3x3 stride 2 128-256, 24x80 | Winograd 136 / 104, strips 124 | direct 129 / 91 |
 //! | 3x3 stride 2 256-512, 12x40 | direct 125 / 66, strips 86 | Winograd 107 / 64 |
 //! | 3x3 stride 2 32-64, 16x48, 4 images | direct 102 / 75, strips 104 | Winograd 102 / 74 |
 //! | 3x3 stride 2 16-32, 32x96, 4 images | direct 98 / 65, strips 87 | Winograd 65 / 64 |
-//! | 7x7 stride 2 3-64, 192x640 | direct 132 / 55, strips 104 | |
+//! | 7x7 stride 2 3-64, 192x640 | direct 145 / 55, strips 104 | |
 //! | 3x3 128-128, 2x6, 4 images | columns 94 / 98 | direct 64 / 45 |
 //! | 3x3 64-64, 4x12, 4 images | columns 105 / 106 | direct 97 / 96 |
 //! | 3x3 stride 2 64-128, 4x12, 4 images | columns 72 / 35 | direct 53 / 30 |

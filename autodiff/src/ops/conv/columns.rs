@@ -11,7 +11,7 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::after::After;
 use super::backward_input::fold_phase;
-use super::direct::{Direct, Tap, blocks};
+use super::direct::{Direct, Tap, blocks, split};
 use super::layout::Layout;
 use crate::{PadMode, Pool, Scalar, par};
 
@@ -167,9 +167,11 @@ impl<T: Scalar> Columns<'_, T> {
                                 channel_stride: 0,
                                 taps: rows,
                                 kernel: (channels - 1) * self.steps[1] + self.kernel,
+                                rows: 1,
                                 len: PANEL.min(len - panel * PANEL),
-                                out: &mut sums[at..][..block.width * PANEL],
-                                width: block.width,
+                                pitches: [0, 0],
+                                out: &mut split(&mut sums[at..][..block.width * PANEL], block.width)[..block.width],
+                                bias: &[],
                                 add: first + i > 0,
                             });
                         }

@@ -39,8 +39,8 @@ pub struct Tap {
     pub weight: usize,
 }
 
-/// One block of outputs at flat positions `0..len`: `out[lane][pos] = sum over channels and taps of w * x`.
-pub struct Direct<'a, T> {
+/// One block of outputs at positions `0..len` of some rows: `out[lane][pos] = sum over channels and taps of w * x`, and a bias.
+pub struct Direct<'a, 'b, T> {
     /// Input planes; channel `c` starts at `c * channel_len`.
     pub x: &'a [T],
     pub channel_len: usize,
@@ -54,12 +54,15 @@ pub struct Direct<'a, T> {
     pub taps: &'a [Tap],
     /// Weights of one input and output channel, all of which may not be among `taps`.
     pub kernel: usize,
-    /// Flat positions wanted.
+    /// Rows wanted, and positions of each.
+    pub rows: usize,
     pub len: usize,
-    /// Output rows, one for each channel of the block, `padded_len(len)` elements each.
-    pub out: &'a mut [T],
-    /// Channels of the block: 8, 4, 2 or 1.
-    pub width: usize,
+    /// From one row to the next, of `x` and of `out`.
+    pub pitches: [usize; 2],
+    /// The block's channels, 8, 4, 2 or 1: `padded_len(len)` elements in a row.
+    pub out: &'a mut [&'b mut [T]],
+    /// What is added at last to each channel of the block; nothing where it is empty.
+    pub bias: &'a [T],
     /// Whether to add to `out` rather than to fill it.
     pub add: bool,
 }
@@ -69,14 +72,22 @@ pub fn padded_len(len: usize) -> usize {
     len.div_ceil(16) * 16
 }
 
-impl<T: Scalar> Direct<'_, T> {
+/// The channels of a block that follow each other.
+pub fn split<T>(channels: &mut [T], width: usize) -> [&mut [T]; BLOCK] {
+    let mut out: [&mut [T]; BLOCK] = Default::default();
+    let len = channels.len() / width;
+    out.iter_mut().zip(channels.chunks_exact_mut(len)).for_each(|(out, channel)| *out = channel);
+    out
+}
+
+impl<T: Scalar> Direct<'_, '_, T> {
     /// Runs the kernel on the processor's widest registers.
     pub fn run(self) {
         Arch::new().dispatch(self);
     }
 }
 
-impl<T: Scalar> WithSimd for Direct<'_, T> {
+impl<T: Scalar> WithSimd for Direct<'_, '_, T> {
     type Output = ();
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
@@ -86,7 +97,7 @@ impl<T: Scalar> WithSimd for Direct<'_, T> {
         let some = (PRODUCTS / d.taps.len()).clamp(16, 32);
         for first in (0..d.channels).step_by(some) {
             let channels = [first, d.channels.min(first + some)];
-            match (d.width, many) {
+            match (d.out.len(), many) {
                 (8, true) => sweep::<T, S, 8, 3>(d, simd, 0, channels),
                 (4, true) => sweep::<T, S, 4, 5>(d, simd, 0, channels),
                 (2, true) => sweep::<T, S, 2, 8>(d, simd, 0, channels),
@@ -105,39 +116,48 @@ impl<T: Scalar> WithSimd for Direct<'_, T> {
 
 /// All positions of outputs `first .. first + O`, `V` registers at a time.
 #[inline(always)]
-fn sweep<T: Scalar, S: Simd, const O: usize, const V: usize>(d: &mut Direct<'_, T>, simd: S, first: usize, channels: [usize; 2]) {
+fn sweep<T: Scalar, S: Simd, const O: usize, const V: usize>(
+    d: &mut Direct<'_, '_, T>,
+    simd: S,
+    first: usize,
+    channels: [usize; 2],
+) {
     let lanes = T::lanes::<S>();
-    let mut pos = 0;
-    while pos < d.len {
-        let left = (d.len - pos).div_ceil(lanes);
-        if left >= V {
-            tile::<T, S, O, V>(d, simd, first, channels, pos);
-            pos += V * lanes;
-        } else if left >= 2 {
-            tile::<T, S, O, 2>(d, simd, first, channels, pos);
-            pos += 2 * lanes;
-        } else {
-            tile::<T, S, O, 1>(d, simd, first, channels, pos);
-            pos += lanes;
+    for row in 0..d.rows {
+        let mut pos = 0;
+        while pos < d.len {
+            let left = (d.len - pos).div_ceil(lanes);
+            let at = [row * d.pitches[0] + pos, row * d.pitches[1] + pos];
+            // Two and two cost less than three and one.
+            if left >= V && (V, left) != (3, 4) {
+                tile::<T, S, O, V>(d, simd, first, channels, at);
+                pos += V * lanes;
+            } else if left >= 2 {
+                tile::<T, S, O, 2>(d, simd, first, channels, at);
+                pos += 2 * lanes;
+            } else {
+                tile::<T, S, O, 1>(d, simd, first, channels, at);
+                pos += lanes;
+            }
         }
     }
 }
 
+/// `V` registers from place `from` of the input on, to place `to` of the output.
 #[inline(always)]
 fn tile<T: Scalar, S: Simd, const O: usize, const V: usize>(
-    d: &mut Direct<'_, T>,
+    d: &mut Direct<'_, '_, T>,
     simd: S,
     first: usize,
     [begin, end]: [usize; 2],
-    pos: usize,
+    [from, to]: [usize; 2],
 ) {
     let lanes = T::lanes::<S>();
-    let pitch = d.out.len() / d.width;
     let mut acc = [[T::splat(simd, T::ZERO); V]; O];
     if begin > 0 || d.add {
         unroll!(K in 0 1 2 3 4 5 6 7 => {
             if K < O {
-                let row = &d.out[(first + K) * pitch + pos..][..V * lanes];
+                let row = &d.out[first + K][to..][..V * lanes];
                 unroll!(L in 0 1 2 3 4 5 6 7 => {
                     if L < V {
                         acc[K][L] = T::load::<S>(&row[L * lanes..]);
@@ -148,7 +168,7 @@ fn tile<T: Scalar, S: Simd, const O: usize, const V: usize>(
     }
     let rows: [&[T]; O] = std::array::from_fn(|o| &d.weights[(first + o) * d.output_stride..]);
     for c in begin..end {
-        let x = &d.x[c * d.channel_len + pos..];
+        let x = &d.x[c * d.channel_len + from..];
         let rows: [&[T]; O] = std::array::from_fn(|o| &rows[o][c * d.channel_stride..][..d.kernel]);
         for tap in d.taps {
             let x = &T::registers::<S>(&x[tap.offset..][..V * lanes])[..V];
@@ -164,9 +184,21 @@ fn tile<T: Scalar, S: Simd, const O: usize, const V: usize>(
             });
         }
     }
+    if end == d.channels && !d.bias.is_empty() {
+        unroll!(K in 0 1 2 3 4 5 6 7 => {
+            if K < O {
+                let bias = T::splat(simd, d.bias[first + K]);
+                unroll!(L in 0 1 2 3 4 5 6 7 => {
+                    if L < V {
+                        acc[K][L] = T::plus(simd, acc[K][L], bias);
+                    }
+                });
+            }
+        });
+    }
     unroll!(K in 0 1 2 3 4 5 6 7 => {
         if K < O {
-            let row = &mut d.out[(first + K) * pitch + pos..][..V * lanes];
+            let row = &mut d.out[first + K][to..][..V * lanes];
             unroll!(L in 0 1 2 3 4 5 6 7 => {
                 if L < V {
                     T::store::<S>(&mut row[L * lanes..], acc[K][L]);

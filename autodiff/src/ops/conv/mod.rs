@@ -63,7 +63,7 @@ pub(super) fn backward_weight<T: Scalar>(l: &Layout, x: &[T], g: &[T], dw: &mut 
 pub trait ConvScalar: Sized {
     /// Runs a direct product.
     #[doc(hidden)]
-    fn run_direct(task: direct::Direct<'_, Self>);
+    fn run_direct(task: direct::Direct<'_, '_, Self>);
     /// Makes rows of a column matrix.
     #[doc(hidden)]
     fn run_gather(task: columns::Gather<'_, Self>);
@@ -105,7 +105,7 @@ pub trait ConvScalar: Sized {
 macro_rules! conv_scalar {
     ($t:ident) => {
         impl ConvScalar for $t {
-            fn run_direct(task: direct::Direct<'_, Self>) {
+            fn run_direct(task: direct::Direct<'_, '_, Self>) {
                 task.run();
             }
             fn run_gather(task: columns::Gather<'_, Self>) {
