@@ -15,11 +15,8 @@ use dimode_autodiff::simd::Wide;
 use dimode_autodiff::{Pool, Scalar, Tensor, Var, par};
 use pulp::{Arch, Simd, WithSimd};
 
-use super::rows::{PAD, RING, clear_sides, cut, get, number, put, row, row_mut, rows_mut, stride};
+use super::rows::{PAD, RING, band_rows, clear_sides, cut, get, number, put, row, row_mut, rows_mut, stride};
 use super::similarity::{Colours, Sums, Weights, add_row_pairs, add_rows, error_row, neighbours, spread_row};
-
-/// Rows of a band: the unit of parallel work, independent of the number of threads.
-const ROWS: usize = 32;
 
 /// Weight of the dissimilarity.
 pub const ALPHA: f64 = 0.85;
@@ -91,10 +88,11 @@ fn backward<T: Scalar>([x, y, g]: [&Tensor<T>; 3], pool: &Pool<T>, dx: &mut [T])
 
 /// Bands of all planes of a buffer: plane, rows, elements.
 fn bands<T>(data: &mut [T], h: usize, w: usize) -> Vec<(usize, Range<usize>, &mut [T])> {
-    let mut out = Vec::new();
+    let band = band_rows(h);
+    let mut out = Vec::with_capacity(data.len() / (h * w) * h.div_ceil(band));
     for (i, plane) in data.chunks_mut(h * w).enumerate() {
-        let rows = (0..h).step_by(ROWS).map(|first| first..(first + ROWS).min(h));
-        out.extend(rows.zip(plane.chunks_mut(ROWS * w)).map(|(rows, band)| (i, rows, band)));
+        let rows = (0..h).step_by(band).map(|first| first..(first + band).min(h));
+        out.extend(rows.zip(plane.chunks_mut(band * w)).map(|(rows, band)| (i, rows, band)));
     }
     out
 }

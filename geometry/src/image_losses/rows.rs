@@ -16,6 +16,20 @@ pub(super) const CHUNK: usize = 32;
 /// Rows that a ring holds: a window of three.
 pub(super) const RING: usize = 3;
 
+/// Rows of a band at most.
+const BAND: usize = 32;
+/// Rows of a band at least: two rows on either side are computed for its neighbours.
+const LEAST_BAND: usize = 12;
+
+/// Rows of a band of an image of `height` rows: the unit of parallel work, independent of the number of threads.
+///
+/// Bands are even in number, so that two threads share a small image evenly.
+pub(super) const fn band_rows(height: usize) -> usize {
+    let bands = 2 * height.div_ceil(2 * BAND);
+    let rows = height.div_ceil(bands);
+    if rows < LEAST_BAND { LEAST_BAND } else { rows }
+}
+
 /// Elements of a scratch row.
 pub(super) const fn stride(width: usize) -> usize {
     width.next_multiple_of(CHUNK) + 2 * PAD

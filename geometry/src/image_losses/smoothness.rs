@@ -14,7 +14,8 @@ mod band;
 use dimode_autodiff::{GradSink, Pool, Scalar, Tensor, Var, par};
 use pulp::Arch;
 
-use band::{Band, BandSums, ROWS};
+use super::rows::band_rows;
+use band::{Band, BandSums};
 
 /// Smoothness of disparities `[n, 1, h, w]` under images `[n, c, h, w]`; one number.
 ///
@@ -56,7 +57,7 @@ fn fused<'t, T: Scalar>(map: Var<'t, T>, images: &Tensor<T>, edge: f64, normalis
     let mut slope = tape.scratch(s.len());
     let sums = run(&map.value(), images, edge, tape.pool(), &mut slope);
     let slope = tape.tensor(s, slope);
-    let per_plane = s.h().div_ceil(ROWS);
+    let per_plane = s.h().div_ceil(band_rows(s.h()));
     // Of every plane: the factor of the slope, and what is taken off.
     let mut factors = vec![[1.0, 0.0]; s.n() * s.c()];
     let mut value = 0.0;
@@ -72,10 +73,15 @@ fn fused<'t, T: Scalar>(map: Var<'t, T>, images: &Tensor<T>, edge: f64, normalis
         let g = g.item().to_f64();
         if let Some(mut slot) = grads.slot(0) {
             slot.write(|out| {
-                par::for_each_chunk(out, plane, |i, out| {
-                    let [factor, off] = factors[i].map(|x| T::from_f64(g * x));
-                    let slope = &slope.data()[i * plane..][..plane];
-                    out.iter_mut().zip(slope).for_each(|(o, &s)| *o = factor * s - off);
+                par::for_each_chunk(out, par::CHUNK, |i, mut out| {
+                    let mut at = i * par::CHUNK;
+                    while !out.is_empty() {
+                        let [factor, off] = factors[at / plane].map(|x| T::from_f64(g * x));
+                        let len = (plane - at % plane).min(out.len());
+                        let part = out.split_off_mut(..len).expect("no more than there is");
+                        part.iter_mut().zip(&slope.data()[at..]).for_each(|(o, &s)| *o = factor * s - off);
+                        at += len;
+                    }
                 });
             });
         }
@@ -90,16 +96,18 @@ fn run<T: Scalar>(map: &Tensor<T>, images: &Tensor<T>, edge: f64, pool: &Pool<T>
     let (s, colours) = (map.shape(), images.shape().c());
     let (h, w) = (s.h(), s.w());
     let planes = (s.n() * s.c()) as f64;
-    let mut sums = vec![BandSums::default(); s.n() * s.c() * h.div_ceil(ROWS)];
-    let pieces = slope.chunks_mut(h * w).enumerate().flat_map(|(i, plane)| plane.chunks_mut(ROWS * w).map(move |band| (i, band)));
+    let band = band_rows(h);
+    let per_plane = h.div_ceil(band);
+    let mut sums = vec![BandSums::default(); s.n() * s.c() * per_plane];
+    let pieces = slope.chunks_mut(h * w).enumerate().flat_map(|(i, plane)| plane.chunks_mut(band * w).map(move |band| (i, band)));
     let items: Vec<_> = pieces.zip(&mut sums).collect();
     par::for_each_item(items, |i, ((plane, slope), sums)| {
-        let first = i % h.div_ceil(ROWS) * ROWS;
+        let first = i % per_plane * band;
         let mut work = pool.take(Band::<T>::work(w));
         Arch::new().dispatch(Band {
             h,
             w,
-            rows: first..(first + ROWS).min(h),
+            rows: first..(first + band).min(h),
             map: map.plane(plane / s.c(), plane % s.c()),
             image: &images.data()[plane / s.c() * colours * h * w..][..colours * h * w],
             edge: -edge / colours as f64,

@@ -25,14 +25,13 @@ mod tests;
 use dimode_autodiff::{GradSink, Scalar, Shape, Tape, Tensor, Var, par};
 use pulp::Arch;
 
+use super::rows::band_rows;
 use crate::camera::Intrinsics;
 use crate::taped::Pose;
 use crate::taped::bands::Motion;
 use crate::taped::rigid_flow::check_motion;
 use band::{Band, BandSums, Sizes};
 
-/// Rows of a band: the unit of parallel work, independent of the number of threads.
-const ROWS: usize = 32;
 /// Rows that are packed together.
 const PACKED_ROWS: usize = 16;
 /// Colours of an image.
@@ -184,19 +183,20 @@ fn run<T: Scalar>(
     let sizes = Sizes { h, w, k };
     let columns: Vec<T> = (0..sizes.columns()).map(T::from_usize).collect();
     let rays: Vec<Vec<T>> = motions.iter().map(|m| m.ray_columns(sizes.columns())).collect();
-    let per_sample = h.div_ceil(ROWS);
+    let band = band_rows(h);
+    let per_sample = h.div_ceil(band);
     let mut sums = vec![BandSums::new(k); n * per_sample];
     // Without gradient every band gets an empty piece.
-    let mut pieces = slope.chunks_mut(h * w).flat_map(|sample| sample.chunks_mut(ROWS * w));
+    let mut pieces = slope.chunks_mut(h * w).flat_map(|sample| sample.chunks_mut(band * w));
     let items: Vec<_> = sums.iter_mut().map(|sums| (sums, pieces.next().unwrap_or_default())).collect();
     let pool = tape.pool();
     par::for_each_item(items, |i, (sums, slope)| {
-        let (sample, first) = (i / per_sample, i % per_sample * ROWS);
+        let (sample, first) = (i / per_sample, i % per_sample * band);
         let mut work = pool.take(sizes.work());
         let of_sources = |j: usize| j * n + sample;
         Arch::new().dispatch(Band {
             sizes,
-            rows: first..(first + ROWS).min(h),
+            rows: first..(first + band).min(h),
             wanted,
             combine: frames.combine,
             motions: &(0..k).map(|j| motions[of_sources(j)]).collect::<Vec<_>>(),
@@ -223,7 +223,7 @@ fn packed<T: Scalar>(sources: &Tensor<T>, n: usize) -> &[[T; PIXEL]] {
 
 /// Sums over the bands of each motion, in order; for rotation (9) and translation (3).
 fn motion_sums(sums: &[BandSums], shape: Shape, k: usize) -> Vec<[f64; 12]> {
-    let bands: Vec<_> = sums.chunks(shape.h().div_ceil(ROWS)).collect();
+    let bands: Vec<_> = sums.chunks(shape.h().div_ceil(band_rows(shape.h()))).collect();
     (0..k * shape.n())
         .map(|i| {
             let (source, sample) = (i / shape.n(), i % shape.n());

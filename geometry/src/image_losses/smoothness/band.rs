@@ -8,9 +8,6 @@ use pulp::{Simd, WithSimd};
 
 use super::super::rows::{PAD, clear_sides, get, number, put, rows_mut, stride};
 
-/// Rows of a band: the unit of parallel work, independent of the number of threads.
-pub(super) const ROWS: usize = 32;
-
 /// What a band adds to the result.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct BandSums {
