@@ -13,7 +13,7 @@ use super::super::photometric::SHIFT;
 use super::super::rows::{CHUNK, PAD, RING, clear_sides, cut, get, number, put, row, row_mut, rows_mut, stride};
 use super::super::similarity::{Colours, Sums, Weights, add_row_pairs, add_rows, error_row, neighbours, spread_row};
 use super::warp_rows::{MotionRow, WarpRow, WarpedRow, slots, turn};
-use super::{CHANNELS, Combine, PIXEL};
+use super::{CHANNELS, Combine};
 use crate::taped::bands::Motion;
 
 /// Size of an image and number of sources.
@@ -122,7 +122,7 @@ pub(super) struct Band<'a, T: Scalar> {
     pub rays: &'a [&'a [T]],
     pub depth: &'a [T],
     pub target: [&'a [T]; CHANNELS],
-    pub sources: &'a [&'a [[T; PIXEL]]],
+    pub sources: &'a [&'a [T]],
     pub identities: &'a [&'a [T]],
     pub work: &'a mut [T],
     /// Gradient of the depth, rows of the band.

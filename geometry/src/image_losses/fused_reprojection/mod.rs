@@ -36,8 +36,8 @@ use band::{Band, BandSums, Sizes};
 const PACKED_ROWS: usize = 16;
 /// Colours of an image.
 const CHANNELS: usize = 3;
-/// Colours of a pixel and one more, so that a pixel is one small register.
-const PIXEL: usize = 4;
+/// Colours of a pixel and the first one of the next, so that a pixel is one small register.
+const PIXEL: usize = CHANNELS + 1;
 
 /// What counts at a pixel that several sources show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -53,7 +53,7 @@ pub enum Combine {
 #[derive(Clone, Debug)]
 pub struct Frames<T: Scalar> {
     target: Tensor<T>,
-    /// Pixel by pixel, `[k n, h, w, 4]`.
+    /// Pixel by pixel, `[k n, h, w, 3]` in a row, and one number that the last pixel reads beyond its own.
     sources: Tensor<T>,
     /// Errors of sources that did not move, `[n, 1, h, w]`.
     identities: Vec<Tensor<T>>,
@@ -78,28 +78,30 @@ impl<T: Scalar> Frames<T> {
             assert!(map.shape() == s.with_c(1), "Frames: errors have shape {}, got {}", s.with_c(1), map.shape());
         }
         let (h, w) = (s.h(), s.w());
-        let mut packed = tape.scratch(sources.len() * s.n() * s.plane() * PIXEL);
-        par::for_each_chunk(&mut packed, PACKED_ROWS * w * PIXEL, |i, out| {
-            for (row, out) in (i * PACKED_ROWS..).zip(out.chunks_exact_mut(w * PIXEL)) {
+        let len = sources.len() * s.n() * s.plane() * CHANNELS;
+        let mut packed = tape.scratch(len + 1);
+        packed[len] = T::ZERO;
+        par::for_each_chunk(&mut packed[..len], PACKED_ROWS * w * CHANNELS, |i, out| {
+            for (row, out) in (i * PACKED_ROWS..).zip(out.chunks_exact_mut(w * CHANNELS)) {
                 let (image, v) = (row / h, row % h);
                 let (k, n) = (image / s.n(), image % s.n());
                 pack(std::array::from_fn(|c| &sources[k].plane(n, c)[v * w..][..w]), out);
             }
         });
-        let sources = tape.tensor(Shape::new(sources.len() * s.n(), h, w, PIXEL), packed);
+        let sources = tape.tensor(Shape::new(1, 1, 1, len + 1), packed);
         Frames { target: target.clone(), sources, identities: identities.to_vec(), combine }
     }
 
     /// Number of sources of a sample.
     pub fn sources(&self) -> usize {
-        self.sources.shape().n() / self.target.shape().n()
+        self.sources.shape().len() / self.target.shape().len()
     }
 }
 
 /// Puts the colours of a row side by side.
 fn pack<T: Scalar>([r, g, b]: [&[T]; CHANNELS], out: &mut [T]) {
-    for (pixel, ((&r, &g), &b)) in out.as_chunks_mut::<PIXEL>().0.iter_mut().zip(r.iter().zip(g).zip(b)) {
-        *pixel = [r, g, b, T::ZERO];
+    for (pixel, ((&r, &g), &b)) in out.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(r.iter().zip(g).zip(b)) {
+        *pixel = [r, g, b];
     }
 }
 
@@ -204,7 +206,7 @@ fn run<T: Scalar>(
             rays: &(0..k).map(|j| &rays[of_sources(j)][..]).collect::<Vec<_>>(),
             depth: depth.plane(sample, 0),
             target: std::array::from_fn(|c| frames.target.plane(sample, c)),
-            sources: &(0..k).map(|j| packed(&frames.sources, of_sources(j))).collect::<Vec<_>>(),
+            sources: &(0..k).map(|j| packed(&frames.sources, h * w, of_sources(j))).collect::<Vec<_>>(),
             identities: &frames.identities.iter().map(|map| map.plane(sample, 0)).collect::<Vec<_>>(),
             work: &mut work,
             slope,
@@ -215,10 +217,9 @@ fn run<T: Scalar>(
     sums
 }
 
-/// The pixels of one packed image.
-fn packed<T: Scalar>(sources: &Tensor<T>, n: usize) -> &[[T; PIXEL]] {
-    let len = sources.shape().len() / sources.shape().n();
-    sources.data()[n * len..][..len].as_chunks().0
+/// Packed image `n` of `plane` pixels, and one number beyond.
+fn packed<T: Scalar>(sources: &Tensor<T>, plane: usize, n: usize) -> &[T] {
+    &sources.data()[n * plane * CHANNELS..][..plane * CHANNELS + 1]
 }
 
 /// Sums over the bands of each motion, in order; for rotation (9) and translation (3).

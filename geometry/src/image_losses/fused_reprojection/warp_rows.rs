@@ -20,7 +20,8 @@ pub(super) struct WarpRow<'a, T> {
     pub height: usize,
     pub width: usize,
     pub depth: &'a [T],
-    pub image: &'a [[T; PIXEL]],
+    /// Colours pixel by pixel, and one number beyond.
+    pub image: &'a [T],
     pub slots: &'a [u8; CHUNK],
 }
 
@@ -143,8 +144,8 @@ impl<T: Scalar> WarpRow<'_, T> {
         for k in 0..CHUNK {
             let (a, b) = (chunk.u[k], chunk.v[k]);
             let (left, above) = (T::ONE - a, T::ONE - b);
-            let pixels = &self.image[cells[k] as usize..][..self.width + 2];
-            let [up, down] = [[pixels[0], pixels[1]], [pixels[self.width], pixels[self.width + 1]]];
+            let pixels = &self.image[CHANNELS * cells[k] as usize..][..CHANNELS * (self.width + 2) + 1];
+            let [up, down] = [neighbours(pixels), neighbours(&pixels[CHANNELS * self.width..])];
             let (mut between, mut slope) = ([[T::ZERO; PIXEL]; 2], [[T::ZERO; PIXEL]; 2]);
             for i in 0..2 {
                 for c in 0..PIXEL {
@@ -161,6 +162,13 @@ impl<T: Scalar> WarpRow<'_, T> {
             }
         }
     }
+}
+
+/// The first two pixels, each with a colour that is not its own at the end.
+#[inline(always)]
+fn neighbours<T: Scalar>(pixels: &[T]) -> [[T; PIXEL]; 2] {
+    let p: &[T; CHANNELS + PIXEL] = pixels.first_chunk().expect("two pixels and one number");
+    [[p[0], p[1], p[2], p[3]], [p[3], p[4], p[5], p[6]]]
 }
 
 /// 2^52: from here on numbers of 64 bits are whole.
