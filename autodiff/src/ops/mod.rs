@@ -85,6 +85,7 @@ mod tanh;
 mod testing;
 mod unary;
 mod upsample_nearest;
+mod weighted_l1;
 mod window_correlation;
 
 use crate::proof::Proof;
@@ -167,6 +168,7 @@ pub(crate) fn proofs() -> Vec<Proof> {
         sum_to::proof(),
         tanh::proof(),
         upsample_nearest::proof(),
+        weighted_l1::proof(),
         window_correlation::proof(),
     ]
 }

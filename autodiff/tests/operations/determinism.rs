@@ -78,6 +78,7 @@ same_bits! {
     mean_channels: |a, _, _| a.mean_channels();
     sum_chw: |a, _, _| a.sum_chw();
     masked_mean: |a, _, mask| a.masked_mean(mask);
+    weighted_l1: |a, b, mask| a.weighted_l1(b, &Tensor::from_fn(SHAPE.with_c(1), |n, _, h, w| mask.at(n, 0, h, w)), 0.1);
     mean_to_rows: |a, _, _| a.mean_to(Shape::new(2, 3, 97, 1));
     gelu: |a, _, _| a.add_scalar(-0.5).gelu();
     log1p_exp: |a, _, _| a.add_scalar(-0.5).log1p_exp();

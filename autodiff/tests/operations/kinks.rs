@@ -61,6 +61,8 @@ fn slopes_beside_kinks_and_on_them_are_those_documented() {
         ("maximum, right", 0.5, |x| constant(x, &[0.5]).maximum(x), [0.0, 0.5, 1.0]),
         ("minimum, left", 0.5, |x| x.minimum(constant(x, &[0.5])), [1.0, 0.5, 0.0]),
         ("minimum, right", 0.5, |x| constant(x, &[0.5]).minimum(x), [1.0, 0.5, 0.0]),
+        ("weighted_l1, left", 0.5, |x| x.weighted_l1(constant(x, &[0.5]), &Tensor::scalar(1.0), 0.0), [-1.0, 0.0, 1.0]),
+        ("weighted_l1, right", 0.5, |x| constant(x, &[0.5]).weighted_l1(x, &Tensor::scalar(1.0), 0.0), [-1.0, 0.0, 1.0]),
         ("max_axis, first", 0.5, |x| before(x, 0.5).max_axis(3).values, [0.0, 1.0, 1.0]),
         ("max_axis, second", 0.5, |x| after(x, 0.5).max_axis(3).values, [0.0, 0.0, 1.0]),
         ("min_axis, first", 0.5, |x| before(x, 0.5).min_axis(3).values, [1.0, 1.0, 0.0]),

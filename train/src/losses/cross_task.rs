@@ -36,14 +36,9 @@ pub struct FlowPair<'t, T: Scalar> {
 /// When shapes differ.
 #[track_caller]
 pub fn cross_task<'t, T: Scalar>(rigid: Var<'t, T>, optical: Var<'t, T>, mask: &Tensor<T>) -> Var<'t, T> {
-    let (shape, tape) = (rigid.shape(), rigid.tape());
+    let shape = rigid.shape();
     assert!(mask.shape() == shape.with_c(1), "cross_task: mask {} does not go with flows {shape}", mask.shape());
-    let weights = tape.constant(mask.clone()).broadcast_to(shape);
-    let chosen = weights.value();
-    let zero = tape.constant(Tensor::zeros(shape));
-    let difference = rigid.select(&chosen, zero).sub(optical.select(&chosen, zero)).abs();
-    let count: f64 = mask.data().iter().map(|m| m.to_f64()).sum();
-    difference.mul(weights).sum().scale(1.0 / (count + GUARD))
+    rigid.weighted_l1(optical, mask, GUARD)
 }
 
 /// Pixels that leave the view by neither flow and pass the forward-backward test of both, `[n, 1, h, w]`, without gradient.
@@ -99,6 +94,42 @@ mod tests {
         let (grads, each) = (tape.backward(loss), 1.0 / 2.001);
         assert_eq!(grads.wrt(rigid).data(), [-each, 0.0, 0.0, each, 0.0, 0.0]);
         assert_eq!(grads.wrt(optical).data(), [each, 0.0, 0.0, -each, 0.0, 0.0]);
+    }
+
+    /// The loss as one operation or as many.
+    type Form = for<'t> fn(Var<'t, f64>, Var<'t, f64>, &Tensor<f64>) -> Var<'t, f64>;
+
+    /// The formula in small operations.
+    fn composed<'t>(rigid: Var<'t, f64>, optical: Var<'t, f64>, mask: &Tensor<f64>) -> Var<'t, f64> {
+        let (shape, tape) = (rigid.shape(), rigid.tape());
+        let weights = tape.constant(mask.clone()).broadcast_to(shape);
+        let (chosen, zero) = (weights.value(), tape.constant(Tensor::zeros(shape)));
+        let difference = rigid.select(&chosen, zero).sub(optical.select(&chosen, zero)).abs();
+        let count: f64 = mask.data().iter().sum();
+        difference.mul(weights).sum().scale(1.0 / (count + GUARD))
+    }
+
+    #[test]
+    fn it_equals_the_composed_form() {
+        let shape = Shape::new(2, 2, 150, 131);
+        let flows = [1, 2].map(|seed| random::<f64>(seed, shape, -3.0, 3.0));
+        let weight = |n, h, w| [0.0, 1.0, 0.25][(n + 2 * h + w) % 3];
+        let mask = Tensor::from_fn(shape.with_c(1), |n, _, h, w| weight(n, h, w));
+        // What is masked may hold anything.
+        let hole = |n, c, h, w| if weight(n, h, w) == 0.0 { f64::NAN } else { flows[0].at(n, c, h, w) };
+        let holes = Tensor::from_fn(shape, hole);
+        let run = |form: Form| {
+            let tape = Tape::new();
+            let [rigid, optical] = [&holes, &flows[1]].map(|flow| tape.leaf(flow.clone()));
+            let loss = form(rigid, optical, &mask).scale(3.0);
+            let grads = tape.backward(loss);
+            [loss.value(), grads.wrt(rigid), grads.wrt(optical)]
+        };
+        for (fused, composed) in run(cross_task).iter().zip(&run(composed)) {
+            for (f, c) in fused.data().iter().zip(composed.data()) {
+                assert!((f - c).abs() <= 1e-10 * c.abs(), "{f} and {c}");
+            }
+        }
     }
 
     #[test]
