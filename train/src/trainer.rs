@@ -310,9 +310,9 @@ fn added(mut own: Vec<ParamGradient<f32>>, more: Vec<ParamGradient<f32>>) -> Vec
     own
 }
 
-/// Name of a parameter among the optimiser's moments.
+/// Name of a parameter among the optimiser's moments, in one allocation: every step asks for all of them.
 fn key(network: &str, path: &str) -> String {
-    format!("{network}/{path}")
+    [network, "/", path].concat()
 }
 
 /// The running statistics of a network.

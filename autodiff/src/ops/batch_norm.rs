@@ -42,13 +42,14 @@ fn channel<T: Scalar>(x: &[T], shape: Shape, c: usize) -> impl Iterator<Item = &
     (0..shape.n()).map(move |n| &x[n * stride + c * plane..][..plane])
 }
 
-/// The planes of `out` by channel: one task reads and writes a channel while it is in the cache.
-fn by_channel<T: Scalar>(out: &mut [T], shape: Shape) -> Vec<Vec<&mut [T]>> {
-    let mut groups: Vec<Vec<&mut [T]>> = (0..shape.c()).map(|_| Vec::with_capacity(shape.n())).collect();
+/// The planes of `out` channel after channel, `shape.n()` of each: one task reads and writes a channel while it is in the cache.
+fn by_channel<T: Scalar>(out: &mut [T], shape: Shape) -> Vec<&mut [T]> {
+    let mut planes: Vec<&mut [T]> = Vec::new();
+    planes.resize_with(shape.planes(), Default::default);
     for (i, plane) in out.chunks_exact_mut(shape.plane()).enumerate() {
-        groups[i % shape.c()].push(plane);
+        planes[i % shape.c() * shape.n() + i / shape.c()] = plane;
     }
-    groups
+    planes
 }
 
 /// Normalises every channel with the statistics that `measure` returns for it, mean and variance.
@@ -62,12 +63,13 @@ fn forward<'t, T: Scalar>(
     let scaled = |(mean, variance): (f64, f64)| (T::from_f64(mean), T::from_f64(1.0 / (variance + eps).sqrt()));
     let mut measured = vec![(0.0, 0.0); shape.c()];
     let mut y = x.tape().scratch(shape.len());
-    let channels = by_channel(&mut y, shape).into_iter().zip(&mut measured).collect();
+    let mut planes = by_channel(&mut y, shape);
+    let channels = planes.chunks_exact_mut(shape.n()).zip(&mut measured).collect();
     par::for_each_item(channels, |c, (planes, measured)| {
         *measured = measure(c);
         let (mean, inverse) = scaled(*measured);
         let (scale, shift) = (inverse * gamma.data()[c], beta.data()[c]);
-        for (n, (y, x)) in planes.into_iter().zip(channel(value.data(), shape, c)).enumerate() {
+        for (n, (y, x)) in planes.iter_mut().zip(channel(value.data(), shape, c)).enumerate() {
             let skip = skip.map(|skip| skip.plane(n, c));
             Normalise { x, skip, y, mean, scale, shift, activation }.run();
         }
@@ -93,12 +95,14 @@ impl<T: Scalar> Saved<T> {
         let mut gx = grads.scratch(shape.len());
         let mut skip = (grads.len() == 4 && grads.needs(3)).then(|| grads.scratch(shape.len()));
         let mut sums = vec![(0.0, 0.0); shape.c()];
-        let mut skips = skip.as_mut().map(|skip| by_channel(skip, shape).into_iter());
-        let channels = by_channel(&mut gx, shape).into_iter().zip(&mut sums);
-        let channels = channels.map(|(gx, sums)| (gx, skips.as_mut().and_then(Iterator::next), sums)).collect();
-        par::for_each_item(channels, |c, (mut gx, skip, sums)| {
-            *sums = self.pass_back(activation, g, c, &mut gx);
-            for (skip, gx) in skip.into_iter().flatten().zip(&gx) {
+        let mut skip_planes = skip.as_mut().map_or_else(Vec::new, |skip| by_channel(skip, shape));
+        let mut skips = skip_planes.chunks_exact_mut(shape.n());
+        let mut planes = by_channel(&mut gx, shape);
+        let channels = planes.chunks_exact_mut(shape.n()).zip(&mut sums);
+        let channels = channels.map(|(gx, sums)| (gx, skips.next().unwrap_or_default(), sums)).collect();
+        par::for_each_item(channels, |c, (gx, skip, sums)| {
+            *sums = self.pass_back(activation, g, c, gx);
+            for (skip, gx) in skip.iter_mut().zip(&*gx) {
                 skip.copy_from_slice(gx);
             }
             self.input_gradient(c, *sums, gx);
@@ -134,14 +138,14 @@ impl<T: Scalar> Saved<T> {
     }
 
     /// Turns the gradient of the normalised channel `c` into that of the input, given the channel's sums.
-    fn input_gradient(&self, c: usize, (total, moment): (f64, f64), planes: Vec<&mut [T]>) {
+    fn input_gradient(&self, c: usize, (total, moment): (f64, f64), planes: &mut [&mut [T]]) {
         let shape = self.x.shape();
         let count = (shape.n() * shape.plane()) as f64;
         let (mean, inverse) = self.statistics[c];
         let (total, moment) = if self.batch { (total, moment) } else { (0.0, 0.0) };
         let slope = T::from_f64(moment / count * inverse.to_f64());
         let (offset, scale) = (T::from_f64(total / count), inverse * self.gamma.data()[c]);
-        for (g, x) in planes.into_iter().zip(channel(self.x.data(), shape, c)) {
+        for (g, x) in planes.iter_mut().zip(channel(self.x.data(), shape, c)) {
             Denormalise { g, x, mean, offset, slope, scale }.run();
         }
     }

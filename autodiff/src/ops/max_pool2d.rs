@@ -27,9 +27,9 @@ impl<T: Scalar> WithSimd for Maxima<'_, T> {
         let Self { x, y, winner, window } = self;
         let Window { width, kernel, stride, padding, out_width, .. } = window;
         // One stride more, so that every window's elements begin a whole step.
-        let mut padded = vec![T::NEG_INFINITY; width + 2 * padding + stride];
-        // The elements `column` of all windows of a row, one after another.
-        let mut column = vec![T::ZERO; out_width];
+        let mut scratch = vec![T::NEG_INFINITY; width + 2 * padding + stride + out_width];
+        // Behind: the elements `column` of all windows of a row, one after another.
+        let (padded, column) = scratch.split_at_mut(width + 2 * padding + stride);
         let rows = y.chunks_exact_mut(out_width).zip(winner.chunks_exact_mut(out_width));
         for (oy, (best, winner)) in rows.enumerate() {
             let inside = window.rows(oy);
@@ -41,7 +41,7 @@ impl<T: Scalar> WithSimd for Maxima<'_, T> {
             for (k, row) in inside.enumerate() {
                 padded[padding..padding + width].copy_from_slice(&x[row * width..][..width]);
                 for dx in 0..kernel {
-                    every(stride, &padded[dx..], &mut column);
+                    every(stride, &padded[dx..], column);
                     let tap = T::from_usize((above + k) * kernel + dx);
                     let (best, winner, column) = (&mut best[..out_width], &mut winner[..out_width], &column[..out_width]);
                     for i in 0..out_width {

@@ -22,12 +22,6 @@ fn repeat_row<T: Scalar>(row: &[T], out: &mut [T], factor: usize) {
 
 /// Transpose of [`repeat_row`]: the sum of every `factor` elements.
 fn sum_cells<T: Scalar>(x: &[T], out: &mut [T], factor: usize) {
-    if factor == 2 {
-        for (o, [a, b]) in out.iter_mut().zip(x.as_chunks::<2>().0) {
-            *o = *a + *b;
-        }
-        return;
-    }
     for (o, cells) in out.iter_mut().zip(x.chunks_exact(factor)) {
         *o = cells.iter().fold(T::ZERO, |sum, &v| sum + v);
     }
@@ -44,8 +38,19 @@ fn forward_plane<T: Scalar>(x: &[T], y: &mut [T], width: usize, factor: usize) {
     }
 }
 
+/// Sums columns of a block, then its row; of a block of two, the usual case, at once.
 fn backward_plane<T: Scalar>(g: &[T], gx: &mut [T], width: usize, factor: usize) {
     let out_width = width * factor;
+    if factor == 2 {
+        for (block, row) in g.chunks_exact(2 * out_width).zip(gx.chunks_exact_mut(width)) {
+            let (first, second) = block.split_at(out_width);
+            let cells = first.as_chunks::<2>().0.iter().zip(second.as_chunks::<2>().0);
+            for (x, ([a, b], [c, d])) in row.iter_mut().zip(cells) {
+                *x = (*a + *c) + (*b + *d);
+            }
+        }
+        return;
+    }
     let mut column = vec![T::ZERO; out_width];
     for (block, row) in g.chunks_exact(out_width * factor).zip(gx.chunks_exact_mut(width)) {
         let (first, others) = block.split_at(out_width);

@@ -84,6 +84,9 @@ impl AdamW {
         moments.steps += 1;
         let rule = Rule::new(self, moments.steps, learning_rate, scale);
         let (first, second) = (moments.first.make_mut(), moments.second.make_mut());
+        if value.len() <= par::CHUNK {
+            return Arch::new().dispatch(Update { rule, m: first, v: second, w: value, g: gradient.data() });
+        }
         let rows: Vec<_> = first
             .chunks_mut(par::CHUNK)
             .zip(second.chunks_mut(par::CHUNK))
