@@ -269,9 +269,10 @@ impl<T: Scalar> Winograd<'_, T> {
         let [_, channels, high, wide] = self.size;
         let (plane, step) = (high * wide, self.kind.scheme().step);
         let mut scratch = pool.take(Inputs::<T>::scratch(self.kind, [sizes.block, sizes.wide]));
+        let spans = self.spans(sizes, block);
         for c in first..channels.min(first + CHANNELS) {
             let mut start = (c - first) * sizes.pitch;
-            for (image, rows) in self.spans(sizes, block) {
+            for (image, rows) in spans.iter().cloned() {
                 let tiles = [rows.len(), sizes.wide];
                 T::run_winograd_inputs(Inputs {
                     kind: self.kind,
