@@ -14,6 +14,7 @@ pub mod weight_grad;
 pub mod weight_outer;
 mod winograd;
 pub mod winograd_kernels;
+pub mod winograd_products;
 mod winograd_schemes;
 mod winograd_weight;
 pub mod winograd_weight_kernels;
@@ -81,7 +82,7 @@ pub trait ConvScalar: Sized {
     fn run_winograd_inputs(task: winograd_kernels::Inputs<'_, '_, Self>);
     /// Runs a Winograd product.
     #[doc(hidden)]
-    fn run_winograd_products(task: winograd_kernels::Products<'_, Self>);
+    fn run_winograd_products(task: winograd_products::Products<'_, Self>);
     /// Transforms a Winograd product to an output plane.
     #[doc(hidden)]
     fn run_winograd_outputs(task: winograd_kernels::Outputs<'_, Self>);
@@ -123,7 +124,7 @@ macro_rules! conv_scalar {
             fn run_winograd_inputs(task: winograd_kernels::Inputs<'_, '_, Self>) {
                 task.run();
             }
-            fn run_winograd_products(task: winograd_kernels::Products<'_, Self>) {
+            fn run_winograd_products(task: winograd_products::Products<'_, Self>) {
                 task.run();
             }
             fn run_winograd_outputs(task: winograd_kernels::Outputs<'_, Self>) {

@@ -12,7 +12,8 @@ use std::sync::Arc;
 use super::after::After;
 use super::backward_input::store_dense;
 use super::layout::{Layout, source_indices};
-use super::winograd_kernels::{BLOCK, INPUT_PLANES, Inputs, Outputs, Products, SUMMED, WEIGHT_PLANES, Weights};
+use super::winograd_kernels::{INPUT_PLANES, Inputs, Outputs, WEIGHT_PLANES, Weights};
+use super::winograd_products::{BLOCK, Products, SUMMED};
 use super::winograd_schemes::Kind;
 use crate::{PadMode, Pool, Scalar, par};
 
