@@ -1,9 +1,11 @@
 //! Parameters on a tape for one step.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use dimode_autodiff::{Gradients, Scalar, Tape, Tensor, Var};
 
+use crate::hash::fnv1a64;
 use crate::{Kind, ParamSet};
 
 /// How batch normalisation behaves.
@@ -50,6 +52,15 @@ pub struct Binder<'t, T: Scalar> {
     bound: Vec<(String, Bound<'t, T>)>,
     index: BTreeMap<String, usize>,
     statistics: Vec<StatisticsUpdate<T>>,
+    randomness: Option<Randomness>,
+    macs: AtomicU64,
+}
+
+/// Where the random numbers of a step come from.
+#[derive(Clone, Copy, Debug)]
+struct Randomness {
+    seed: u64,
+    step: u64,
 }
 
 impl<'t, T: Scalar> Binder<'t, T> {
@@ -78,7 +89,32 @@ impl<'t, T: Scalar> Binder<'t, T> {
             index.insert(path.clone(), bound.len());
             bound.push((path, item));
         }
-        Self { tape, mode, bound, index, statistics: Vec::new() }
+        Self { tape, mode, bound, index, statistics: Vec::new(), randomness: None, macs: AtomicU64::new(0) }
+    }
+
+    /// With random layers at work: what a layer draws depends on `seed`, its path and `step` alone. Without this, and in
+    /// [`Mode::Eval`], drop path keeps everything.
+    #[must_use]
+    pub fn random(mut self, seed: u64, step: u64) -> Self {
+        self.randomness = Some(Randomness { seed, step });
+        self
+    }
+
+    /// Seed of the layer at a path, and the step; `None` where random layers are at rest.
+    pub(crate) fn randomness(&self, path: &str) -> Option<(u64, u64)> {
+        let Randomness { seed, step } = self.randomness.filter(|_| self.mode == Mode::Train)?;
+        Some((seed ^ fnv1a64(path), step))
+    }
+
+    /// Counts the multiply-accumulates of a convolution or a matrix product, **as the network is defined**: a layer that finds
+    /// the same numbers with less work counts the work of its definition.
+    pub(crate) fn count_macs(&self, macs: usize) {
+        self.macs.fetch_add(macs as u64, Ordering::Relaxed);
+    }
+
+    /// Multiply-accumulates of the convolutions and matrix products of all forward passes so far, and nothing else.
+    pub fn macs(&self) -> u64 {
+        self.macs.load(Ordering::Relaxed)
     }
 
     /// The tape everything is bound to.

@@ -36,6 +36,7 @@ mod replace_file;
 mod resnet_depth;
 mod resnet_encoder;
 mod resnet_pose;
+mod size;
 
 pub mod fill;
 pub mod init;
@@ -60,4 +61,5 @@ pub use replace_file::replace_file;
 pub use resnet_depth::{ResNetDepth, ResNetDepthConfig};
 pub use resnet_encoder::{ResNetConfig, ResNetEncoder};
 pub use resnet_pose::{ResNetPose, ResNetPoseConfig};
+pub use size::UnfitSize;
 pub use weights::WeightError;

@@ -99,6 +99,11 @@ impl ConvLayer {
         self.options
     }
 
+    /// Multiply-accumulates of one output value.
+    pub fn macs_per_output(&self) -> usize {
+        self.inputs / self.options.groups * self.kernel.0 * self.kernel.1
+    }
+
     /// Adds weight and bias to the list.
     pub fn declare(&self, blueprint: &mut Blueprint) {
         let (kh, kw) = self.kernel;
@@ -118,13 +123,17 @@ impl ConvLayer {
     /// (N, in, H, W) -> (N, out, H', W').
     pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, x: Var<'t, T>) -> Var<'t, T> {
         let (weight, bias) = self.bind(binder);
-        x.conv2d(weight, bias, self.options)
+        let y = x.conv2d(weight, bias, self.options);
+        binder.count_macs(y.shape().len() * self.macs_per_output());
+        y
     }
 
     /// The same, and the activation of the result, in one operation.
     pub fn activated<'t, T: Scalar>(&self, binder: &Binder<'t, T>, x: Var<'t, T>, activation: Activation) -> Var<'t, T> {
         let (weight, bias) = self.bind(binder);
-        x.conv2d_activated(weight, bias, self.options, activation)
+        let y = x.conv2d_activated(weight, bias, self.options, activation);
+        binder.count_macs(y.shape().len() * self.macs_per_output());
+        y
     }
 
     fn bind<'t, T: Scalar>(&self, binder: &Binder<'t, T>) -> (Var<'t, T>, Option<Var<'t, T>>) {
