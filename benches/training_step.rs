@@ -1,5 +1,5 @@
 //! Whole training steps: of the nano networks at 128 x 64, one in each stage; in the manner of Monodepth2 with networks of a
-//! quarter of its width at 192 x 64, and of its full size at 640 x 192.
+//! quarter of its width at 192 x 64, and of its full size at 640 x 192; with the paper's networks, all three trained.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dimode::config::{Config, FirstWeights};
@@ -27,11 +27,11 @@ fn steps(c: &mut Criterion) {
     group.finish();
 }
 
-fn monodepth2(c: &mut Criterion) {
-    for case in [StepCase::nano(4), StepCase::monodepth2(1)] {
+fn large(c: &mut Criterion) {
+    for case in [StepCase::nano(4), StepCase::monodepth2(1), StepCase::paper()] {
         bench_case(c, &case);
     }
 }
 
-criterion_group!(benches, steps, monodepth2);
+criterion_group!(benches, steps, large);
 criterion_main!(benches);

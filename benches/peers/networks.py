@@ -1,4 +1,4 @@
-"""Depth and pose networks of Monodepth2, ResNet encoders with their decoders, in any size; RAFT beside them.
+"""Depth and pose networks of Monodepth2, ResNet encoders with their decoders, in any size; Lite-Mono and RAFT beside them.
 
 Parameters have the names of the reference checkpoints, in four files: `encoder`, `depth`, `pose_encoder`, `pose`. Sums and
 activations are in place where torchvision and Monodepth2 have them so: everywhere but in the pose decoder.
@@ -8,8 +8,10 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+import lite_mono
 import scene
 from raft import Raft
+from reflect import ReflectConv, Unit
 from store import memory_format
 
 
@@ -61,28 +63,6 @@ def resnet18_widths(width):
     return [width, width, 2 * width, 4 * width, 8 * width]
 
 
-class ReflectConv(nn.Module):
-    """3x3 convolution over a reflected border."""
-
-    def __init__(self, inputs, outputs):
-        super().__init__()
-        self.conv = nn.Conv2d(inputs, outputs, 3)
-
-    def forward(self, x):
-        return self.conv(F.pad(x, (1, 1, 1, 1), mode="reflect"))
-
-
-class Unit(nn.Module):
-    """A `ReflectConv` with ELU, under the name it has in the checkpoints."""
-
-    def __init__(self, inputs, outputs):
-        super().__init__()
-        self.conv = ReflectConv(inputs, outputs)
-
-    def forward(self, x):
-        return F.elu(self.conv(x), inplace=True)
-
-
 class DepthDecoder(nn.Module):
     """Five levels of unit, nearest doubling, skip connection, unit; a disparity on the four finest."""
 
@@ -132,24 +112,6 @@ class Encoder(nn.Module):
         return self.encoder(images)
 
 
-class Monodepth(nn.Module):
-    """Both networks."""
-
-    def __init__(self, width, decoder, pose_width):
-        super().__init__()
-        widths = resnet18_widths(width)
-        self.encoder, self.depth = Encoder(1, widths), DepthDecoder(widths, decoder)
-        self.pose_encoder, self.pose = Encoder(2, widths), PoseDecoder(widths[4], pose_width)
-
-    def disparities(self, images):
-        """Disparities of images, finest first."""
-        return self.depth(self.encoder(images))
-
-    def motions(self, first, second):
-        """Rotation vector and translation from the first to the second images, [n, 6]; the earlier ones are first."""
-        return self.pose(self.pose_encoder(torch.cat([first, second], 1))[4])
-
-
 def share_parameters(store, modules):
     """Makes the parameters of modules, by file name, inputs of the case: the first variant's fresh ones, the same for all."""
     for file, module in modules.items():
@@ -160,7 +122,10 @@ def share_parameters(store, modules):
 
 
 def depth_network(sizes):
-    """Modules by file name, and what they say of two images."""
+    """Modules by file name, and what they say of two images: of a ResNet, or of Lite-Mono where the sizes have `dims`."""
+    if "dims" in sizes:
+        encoder, decoder = lite_mono.Encoder(sizes), lite_mono.Decoder(sizes["dims"])
+        return {"encoder": encoder, "depth": decoder}, lambda first, second: decoder(encoder(first))
     encoder = Encoder(**sizes["encoder"])
     decoder = DepthDecoder(sizes["encoder"]["widths"], sizes["decoder"])
     return {"encoder": encoder, "depth": decoder}, lambda first, second: decoder(encoder(first))
@@ -184,6 +149,10 @@ def flow_network(sizes):
     return {"raft": net}, net
 
 
+# Networks by the role that they have.
+MAKERS = {"depth": depth_network, "pose": pose_network, "flow": flow_network}
+
+
 def build(case, variant, store):
     """A whole network in training: forward, and forward with backward from the sum of all outputs.
 
@@ -192,8 +161,7 @@ def build(case, variant, store):
     shape, sizes = tuple(case["images"]), case["sizes"]
     fmt = memory_format(variant["layout"])
     torch.manual_seed(1)
-    makers = {"depth": depth_network, "pose": pose_network, "flow": flow_network}
-    modules, run = makers[sizes["net"]](sizes)
+    modules, run = MAKERS[sizes["net"]](sizes)
     share_parameters(store, modules)
     for module in modules.values():
         module.train().to(memory_format=fmt)

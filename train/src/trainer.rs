@@ -223,11 +223,12 @@ impl Trainer {
         probe: bool,
     ) -> Result<Scene, Failure> {
         let needs = objective::needs(&self.config.loss, stage);
+        let draw = (self.config.seed, step);
         let [of_depth, of_motion] = [(); 2].map(|()| Tape::with_pool(self.pool.clone()));
-        let mut depth = binder(&of_depth, &self.weights.depth, stage.train_depth);
-        let mut pose = binder(&of_motion, &self.weights.pose, stage.train_pose);
-        let flow = binder(&of_motion, &self.weights.flow, stage.train_flow);
-        let mut rectify = binder(&of_motion, &self.weights.rectify, stage.train_pose);
+        let mut depth = binder(&of_depth, &self.weights.depth, stage.train_depth, draw);
+        let mut pose = binder(&of_motion, &self.weights.pose, stage.train_pose, draw);
+        let flow = binder(&of_motion, &self.weights.flow, stage.train_flow, draw);
+        let mut rectify = binder(&of_motion, &self.weights.rectify, stage.train_pose, draw);
         let rectified = self.model.rectify.as_ref().map(|net| self.rectified(net, &mut rectify, batch, step));
         let seen = match &rectified {
             Some(rectified) => rectified.seen.clone(),
@@ -354,7 +355,7 @@ mod tests {
                 Batch::load(self.frames.as_ref(), &[(0, 1)], (&config.train, &Teacher::None), 1, 0, &Pool::new()).unwrap();
             let tape = Tape::new();
             let sources = join_in(&trainer.pool, &[&batch.seen.previous, &batch.seen.next]);
-            let [mut depth, mut pose] = [&trainer.weights.depth, &trainer.weights.pose].map(|set| binder(&tape, set, true));
+            let [mut depth, mut pose] = [&trainer.weights.depth, &trainer.weights.pose].map(|set| binder(&tape, set, true, (1, 0)));
             trainer
                 .run_networks((&batch, &sources), (&config.train.stages[0], Needs::default()), &mut depth, &mut pose)
                 .motion

@@ -7,6 +7,7 @@ pub mod loss_core;
 pub mod losses;
 pub mod networks;
 pub mod pieces;
+mod sizes;
 pub mod step;
 
 use crate::Case;

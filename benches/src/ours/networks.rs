@@ -7,13 +7,11 @@ use anyhow::Result;
 use dimode::config::NetsConfig;
 use dimode::model::Model;
 use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
-use dimode_nets::{
-    Binder, DepthNetConfig, DepthNetKind, FlowNetConfig, Mode, ParamSet, PoseNetConfig, PoseNetKind, ResNetConfig,
-    ResNetPoseConfig,
-};
+use dimode_nets::{Binder, DepthNetKind, FlowNetKind, Mode, ParamSet, PoseNetKind};
 use serde_json::{Value, json};
 
 use super::encoder::RESNET18_GRADIENTS;
+use super::sizes;
 use crate::case::{Case, Ours, Results, timed};
 use crate::inputs::Inputs;
 
@@ -37,10 +35,13 @@ pub struct NetworkCase {
 }
 
 impl NetworkCase {
-    /// The nano networks at 128 x 64, and depth and pose network of ResNet-18 size at 640 x 192.
+    /// The nano networks at 128 x 64; depth and pose network of ResNet-18 size, Lite-Mono and the small RAFT at 640 x 192.
     pub fn all() -> Vec<Self> {
         let nano = NetsConfig::default();
         let large = NetsConfig { depth: DepthNetKind::Resnet18, pose: PoseNetKind::Resnet18, ..NetsConfig::default() };
+        let lite = |depth| NetsConfig { depth, ..NetsConfig::default() };
+        let (nano_lite, lite) = (lite(DepthNetKind::NanoLiteMono), lite(DepthNetKind::LiteMono));
+        let small_raft = NetsConfig { flow: FlowNetKind::RaftSmall, flow_iterations: 12, ..NetsConfig::default() };
         let case = |name: &str, which, nets: &NetsConfig, images, accepted| {
             let (name, nets) = (name.into(), nets.clone());
             Self { name, which, nets, images, accepted }
@@ -52,38 +53,21 @@ impl NetworkCase {
             case("nano flow 128x64 b8", Which::Flow, &nano, small, 2e-2),
             case("resnet18 depth 640x192 b1", Which::Depth, &large, full, RESNET18_GRADIENTS),
             case("resnet18 pose 640x192 b1", Which::Pose, &large, full, RESNET18_GRADIENTS),
+            case("nano lite-mono 128x64 b8", Which::Depth, &nano_lite, small, 1e-3),
+            case("lite-mono 640x192 b1", Which::Depth, &lite, full, 1e-2),
+            case("raft-small 640x192 b1", Which::Flow, &small_raft, full, 2e-2),
         ]
     }
 
     /// Sizes of the network, by the names that the peer gives them.
     fn sizes(&self) -> Value {
+        let NetsConfig { rotation_scale, tangential_scale, radial_scale, flow_iterations, .. } = self.nets;
         match self.which {
-            Which::Depth => {
-                let DepthNetConfig::ResNet(config) = self.nets.depth.config();
-                json!({"net": "depth", "encoder": encoder(&config.encoder), "decoder": config.decoder})
-            }
-            Which::Pose => {
-                let PoseNetConfig::ResNet(ResNetPoseConfig { encoder: sizes, decoder, frames }) = self.nets.pose.config();
-                let NetsConfig { rotation_scale, tangential_scale, radial_scale, .. } = self.nets;
-                let scale = [[rotation_scale; 3], [tangential_scale, tangential_scale, radial_scale]].concat();
-                json!({"net": "pose", "encoder": encoder(&sizes), "decoder": decoder, "frames": frames, "scale": scale})
-            }
-            Which::Flow => {
-                let FlowNetConfig { stem, stages, last_stride, features, hidden, context, levels, radius, .. } =
-                    self.nets.flow.config();
-                let FlowNetConfig { correlation, flow, motion, head, .. } = self.nets.flow.config();
-                json!({
-                    "net": "flow", "stem": stem, "stages": stages, "last_stride": last_stride, "features": features,
-                    "hidden": hidden, "context": context, "levels": levels, "radius": radius, "correlation": correlation,
-                    "flow": flow, "motion": motion, "head": head, "iterations": self.nets.flow_iterations
-                })
-            }
+            Which::Depth => sizes::depth(&self.nets.depth.config()),
+            Which::Pose => sizes::pose(&self.nets.pose.config(), [rotation_scale, tangential_scale, radial_scale]),
+            Which::Flow => sizes::flow(&self.nets.flow.config(), flow_iterations),
         }
     }
-}
-
-fn encoder(config: &ResNetConfig) -> Value {
-    json!({"images": config.images, "widths": config.widths, "blocks": config.blocks, "classifier": config.classifier})
 }
 
 impl Case for NetworkCase {

@@ -1,20 +1,23 @@
-//! Whole training steps in the manner of Monodepth2, by the trainer that runs them elsewhere too: depth and pose network, minimum
-//! reprojection with auto-mask and smoothness on four scales, Adam.
+//! Whole training steps by the trainer that runs them elsewhere too: depth and pose network with minimum reprojection, auto-mask and
+//! smoothness on every scale in the manner of Monodepth2; a flow network with its own photometric loss beside them; Adam.
 
 use std::time::Duration;
 
 use anyhow::Result;
 use dimode::batch::{Batch, Images};
 use dimode::config::{Config, LossPreset, StageConfig};
-use dimode::model::Model;
+use dimode::model::{Model, Weights};
 use dimode::optim::adamw::State;
 use dimode::trainer::{StepReport, Trainer};
-use dimode_autodiff::Shape;
-use dimode_nets::{DepthNet, PoseNet, ResNetDepth, ResNetDepthConfig, ResNetPose, ResNetPoseConfig};
-use serde::Serialize;
+use dimode_autodiff::{Shape, Tape, Tensor};
+use dimode_nets::{
+    Binder, DepthNet, DepthNetConfig, FlowNet, FlowNetConfig, LiteMonoConfig, PoseNet, PoseNetConfig, ResNetDepthConfig,
+    ResNetPoseConfig,
+};
 use serde_json::{Value, json};
 
 use super::encoder::resnet18;
+use super::sizes;
 use crate::camera::camera;
 use crate::case::{Case, Ours, Results, timed};
 use crate::inputs::Inputs;
@@ -25,15 +28,13 @@ const RATE: f64 = 1e-4;
 const COMPARED: usize = 3;
 
 /// Networks and images of a training step.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug)]
 pub struct StepCase {
     name: String,
-    /// Channels behind the first convolution of both encoders.
-    width: usize,
-    /// Channels of the depth decoder, finest level first.
-    decoder: [usize; 5],
-    /// Channels of the pose decoder.
-    pose_width: usize,
+    depth: DepthNetConfig,
+    pose: PoseNetConfig,
+    /// Trained by its own loss when there is one.
+    flow: Option<FlowNetConfig>,
     batch: usize,
     height: usize,
     img_width: usize,
@@ -50,48 +51,59 @@ impl StepCase {
         Self::of(16, [8, 16, 16, 32, 64], batch, 64, 192)
     }
 
-    /// Networks of a width on images of a size.
+    /// Monodepth2's networks, with `width` channels behind the first convolution of both encoders and the channels of the depth
+    /// decoder, finest level first, on images of a size.
     pub fn of(width: usize, decoder: [usize; 5], batch: usize, height: usize, img_width: usize) -> Self {
-        let name = format!("step width {width} {img_width}x{height} b{batch}");
-        Self { name, width, decoder, pose_width: 4 * width, batch, height, img_width }
+        let depth = ResNetDepthConfig { encoder: resnet18(1, width), decoder, scales: vec![0, 1, 2, 3] };
+        let pose = ResNetPoseConfig { encoder: resnet18(2, width), decoder: 4 * width, frames: 1 };
+        Self {
+            name: format!("step width {width} {img_width}x{height} b{batch}"),
+            depth: DepthNetConfig::ResNet(depth),
+            pose: PoseNetConfig::ResNet(pose),
+            flow: None,
+            batch,
+            height,
+            img_width,
+        }
     }
 
-    /// Floating-point operations of the convolutions of a step: forward, and twice as many backward. The pose encoder sees both
-    /// sources.
+    /// The networks of the paper on an image of 640 x 192, all three trained: Lite-Mono, ResNet-18 for the pose, the small RAFT with
+    /// 12 refinements. No path is dropped, so that both sides do the same.
+    pub fn paper() -> Self {
+        Self {
+            name: "step lite-mono, resnet18, raft-small 640x192 b1".into(),
+            depth: DepthNetConfig::LiteMono(LiteMonoConfig { drop_path: 0.0, ..LiteMonoConfig::lite_mono() }),
+            pose: PoseNetConfig::resnet18(),
+            flow: Some(FlowNetConfig::raft_small()),
+            batch: 1,
+            height: 192,
+            img_width: 640,
+        }
+    }
+
+    /// Floating-point operations of the convolutions of depth and pose network in a step: forward, and twice as many backward. The
+    /// pose network sees both sources.
     pub fn flops(&self) -> f64 {
-        let pixels = (self.height * self.img_width) as f64;
-        let w = self.width as f64;
-        // Per pixel of the image: kernel area x inputs x outputs / pixels of the input for each of the output.
-        let encoder = |images: f64| {
-            let stem = 49.0 * 3.0 * images * w / 4.0;
-            let layer = |level: i32| {
-                let (width, area) = (w * f64::from(1 << level), 16.0 * 4.0_f64.powi(level));
-                let first = if level == 0 { 9.0 * w * w } else { (9.0 + 1.0) * width * width / 2.0 };
-                (first + 3.0 * 9.0 * width * width) / area
-            };
-            stem + (0..4).map(layer).sum::<f64>()
-        };
-        let skips = [0.0, w, w, 2.0 * w, 4.0 * w];
-        let decoder = |level: usize| {
-            let out = self.decoder[level] as f64;
-            let below = if level == 4 { 8.0 * w } else { self.decoder[level + 1] as f64 };
-            let head = if level < 4 { 9.0 * out } else { 0.0 };
-            let area = 4.0_f64.powi(level as i32);
-            9.0 * below * out / (4.0 * area) + (9.0 * (out + skips[level]) * out + head) / area
-        };
-        let p = self.pose_width as f64;
-        let pose = encoder(2.0) + (8.0 * w * p + 18.0 * p * p + 6.0 * p) / 1024.0;
-        let forward = encoder(1.0) + (0..5).map(decoder).sum::<f64>() + 2.0 * pose;
-        3.0 * 2.0 * forward * pixels * self.batch as f64
+        let model = self.model(&settings());
+        let Weights { depth, pose, .. } = model.init(1);
+        let tape = Tape::<f32>::new();
+        let [mut of_depth, mut of_pose] = [&depth, &pose].map(|set| Binder::frozen(&tape, set));
+        let images = |n| tape.constant(Tensor::zeros(Shape::new(n, 3, self.height, self.img_width)));
+        model.depth.forward(&mut of_depth, images(self.batch));
+        let (first, second) = (images(2 * self.batch), images(2 * self.batch));
+        model.pose.forward(&mut of_pose, first, second);
+        3.0 * 2.0 * (of_depth.macs() + of_pose.macs()) as f64
     }
 
     fn model(&self, config: &Config) -> Model {
-        let depth = ResNetDepthConfig { encoder: resnet18(1, self.width), decoder: self.decoder, scales: vec![0, 1, 2, 3] };
-        let pose = ResNetPoseConfig { encoder: resnet18(2, self.width), decoder: self.pose_width, frames: 1 };
+        let base = Model::new(&config.nets);
+        let flow_iterations = self.flow.as_ref().map_or(base.flow_iterations, |flow| flow.iterations);
         Model {
-            depth: DepthNet::ResNet(ResNetDepth::new(depth)),
-            pose: PoseNet::ResNet(ResNetPose::new(pose)),
-            ..Model::new(&config.nets)
+            depth: DepthNet::new(self.depth.clone()),
+            pose: PoseNet::new(self.pose.clone()),
+            flow: self.flow.clone().map_or(base.flow, FlowNet::new),
+            flow_iterations,
+            ..base
         }
     }
 
@@ -111,10 +123,11 @@ impl StepCase {
     }
 }
 
-/// The settings of Monodepth2, with plain Adam, no clipping and one look of the pose network.
+/// The settings of Monodepth2, with plain Adam at one rate, no clipping and one look of the pose network.
 fn settings() -> Config {
     let mut config = LossPreset::Monodepth2.config();
     config.loss.scale_anchor = 0.0;
+    config.loss.flow.rate = 1.0;
     (config.train.weight_decay, config.train.clip_norm, config.train.pose_rate) = (0.0, 0.0, 1.0);
     let nets = &mut config.nets;
     (nets.rotation_scale, nets.tangential_scale, nets.radial_scale) = (1.0, 1.0, 1.0);
@@ -136,7 +149,11 @@ impl Case for StepCase {
     }
 
     fn spec(&self) -> Value {
-        json!(self)
+        json!({
+            "name": self.name, "depth": sizes::depth(&self.depth), "pose": sizes::pose(&self.pose, [1.0; 3]),
+            "flow": self.flow.as_ref().map(|flow| sizes::flow(flow, flow.iterations)), "batch": self.batch,
+            "height": self.height, "img_width": self.img_width
+        })
     }
 
     fn build(&self, inputs: &Inputs) -> Result<Box<dyn Ours + Send>> {
@@ -145,9 +162,13 @@ impl Case for StepCase {
         let mut weights = model.init(1);
         inputs.parameters(&mut weights.depth)?;
         inputs.parameters(&mut weights.pose)?;
+        if self.flow.is_some() {
+            inputs.parameters(&mut weights.flow)?;
+        }
         let mut trainer = Trainer::new(&config, weights, State::default());
         trainer.model = model;
-        Ok(Box::new(Step { trainer, batch: self.batch(inputs)?, stage: StageConfig::new("all", 1.0), taken: 0 }))
+        let stage = StageConfig { train_flow: self.flow.is_some(), ..StageConfig::new("all", 1.0) };
+        Ok(Box::new(Step { trainer, batch: self.batch(inputs)?, stage, taken: 0 }))
     }
 }
 
@@ -179,9 +200,9 @@ impl Ours for Step {
             // Every step of Adam moves each weight by its full rate at first, whatever its gradient: small differences grow.
             results.values.push((format!("loss_{i}"), report.total, if i == 0 { 1e-4 } else { 3e-3 }));
             if i == 0 {
-                let norms = report.network_gradients;
-                for (name, norm) in [("depth_gradient", norms[0]), ("pose_gradient", norms[1])] {
-                    results.values.push((name.into(), norm.expect("a trained network"), 1e-2));
+                let names = ["depth_gradient", "pose_gradient", "flow_gradient"];
+                for (name, norm) in names.into_iter().zip(report.network_gradients) {
+                    results.values.extend(norm.map(|norm| (name.into(), norm, 1e-2)));
                 }
             }
         }

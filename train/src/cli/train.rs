@@ -81,6 +81,9 @@ pub struct TrainArgs {
     /// Loss and stages of a method [default: dimode]
     #[arg(long, value_name = "NAME", value_parser = loss())]
     loss: Option<LossPreset>,
+    /// First weights of the depth network: random or a folder
+    #[arg(long, value_name = "WHICH")]
+    depth_weights: Option<FirstWeights>,
     /// First weights of the flow network: embedded, random or a file
     #[arg(long, value_name = "WHICH")]
     flow_weights: Option<FirstWeights>,
@@ -99,7 +102,7 @@ pub struct TrainArgs {
     /// Go on with the run in this folder, with its own settings
     #[arg(long, value_name = "DIR", conflicts_with_all = [
         "config", "data", "sequences", "preset", "quick", "steps", "batch", "seed", "learning_rate", "size", "stages",
-        "paper_schedule", "loss", "flow_weights", "pose_weights", "set", "out", "force",
+        "paper_schedule", "loss", "depth_weights", "flow_weights", "pose_weights", "set", "out", "force",
     ])]
     resume: Option<PathBuf>,
     /// Print the metrics as JSON instead of tables
@@ -177,6 +180,7 @@ impl TrainArgs {
         replace(&mut config.train.batch, self.batch);
         replace(&mut config.train.learning_rate, self.learning_rate);
         replace(&mut config.nets.flow_weights, self.flow_weights.clone());
+        replace(&mut config.nets.depth_weights, self.depth_weights.clone());
         replace(&mut config.nets.pose_weights, self.pose_weights.clone());
         if let Some(Stages(numbers)) = &self.stages {
             config.train.only_stages = Some(numbers.clone());

@@ -24,6 +24,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use dimode_geometry::taped::matches::Matching;
+use dimode_nets::{DepthNet, FlowNet, PoseNet, UnfitSize};
 
 use crate::objective::{FlowWays, needs};
 
@@ -164,7 +165,8 @@ impl Config {
         let absolute = |path: &mut PathBuf| *path = std::path::absolute(&*path).unwrap_or_else(|_| path.clone());
         self.data.path.as_mut().map(absolute);
         self.loss.local_structure.folder.as_mut().map(absolute);
-        for weights in [&mut self.nets.flow_weights, &mut self.nets.pose_weights] {
+        let nets = &mut self.nets;
+        for weights in [&mut nets.depth_weights, &mut nets.pose_weights, &mut nets.flow_weights] {
             if let FirstWeights::File(path) = weights {
                 absolute(path);
             }
@@ -204,7 +206,20 @@ impl Config {
         let advice = "the optical flow knows nothing of the removed rotation; choose none, or a loss without optical flow such as \
                       --loss sc-depth";
         let goes = self.nets.rectify == Rectify::None || !self.train.stages.iter().any(sees_flow);
-        error::require(goes, "nets.rectify", self.nets.rectify.name(), advice)
+        error::require(goes, "nets.rectify", self.nets.rectify.name(), advice)?;
+        self.validate_sizes()
+    }
+
+    /// The networks can take the frames.
+    fn validate_sizes(&self) -> Result<(), ConfigError> {
+        let (NetsConfig { depth, pose, flow, .. }, DataConfig { width, height, .. }) = (&self.nets, &self.data);
+        let fits = |key, name: String, checked: Result<(), UnfitSize>| {
+            let advice = checked.err().map_or_else(String::new, |unfit| format!("{unfit}; change data.width and data.height"));
+            error::require(advice.is_empty(), key, name, &advice)
+        };
+        fits("nets.depth", depth.to_string(), DepthNet::new(depth.config()).check_size(*height, *width))?;
+        fits("nets.pose", pose.to_string(), PoseNet::new(pose.config()).check_size(*height, *width))?;
+        fits("nets.flow", flow.to_string(), FlowNet::new(flow.config()).check_size(*height, *width))
     }
 }
 

@@ -18,7 +18,8 @@ pub enum FirstWeights {
     Embedded,
     /// Random numbers from the seed.
     Random,
-    /// What `dimode pretrain` wrote: a safetensors file for flow, a folder of them for pose.
+    /// A folder with the network's files, or the file of a network that has one only: what `dimode pretrain` or
+    /// `dimode weights convert` wrote, or the checkpoints of the reference.
     File(PathBuf),
 }
 
@@ -81,23 +82,29 @@ impl Rectify {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NetsConfig {
-    /// Depth network: `nano_resnet` or `resnet18`.
+    /// Depth network: `nano_resnet`, `nano_lite_mono`, `nano_d_hrnet`, `resnet18`, `lite_mono`, `lite_mono_tiny`,
+    /// `lite_mono_small`, `lite_mono_8m` or `d_hrnet`.
     #[serde(with = "by_name")]
     pub depth: DepthNetKind,
-    /// Pose network: `nano` or `resnet18`.
+    /// Pose network: `nano`, `nano_scipad`, `resnet18` or `scipad`.
     #[serde(with = "by_name")]
     pub pose: PoseNetKind,
-    /// Flow network: `nano_raft`, `nano_raft_d4` or `raft_small`.
+    /// Flow network: `nano_raft`, `nano_raft_d4`, `raft_small` or `raft_full`.
     #[serde(with = "by_name")]
     pub flow: FlowNetKind,
     /// Network that removes rotation first: `none`, `nano` or `resnet18`. It is trained with the pose network and goes with losses
     /// without optical flow only.
     pub rectify: Rectify,
+    /// First weights of the depth network: `random`, or a folder with its files, as `encoder.safetensors` and
+    /// `depth.safetensors`. A file that is not there leaves its part random: an encoder that knows other pictures, for
+    /// instance, and a decoder that knows nothing yet.
+    #[serde(with = "by_name")]
+    pub depth_weights: FirstWeights,
     /// First weights of the flow network: `embedded`, `random` or a file.
     #[serde(with = "by_name")]
     pub flow_weights: FirstWeights,
-    /// First weights of the pose network: `embedded`, `random` or a folder with `pose_encoder.safetensors` and
-    /// `pose.safetensors`. They belong to the default factors and depth range below; with others the motions that they say
+    /// First weights of the pose network: `embedded`, `random` or a folder, for instance with `pose_encoder.safetensors` and
+    /// `pose.safetensors`, as for depth. They belong to the default factors and depth range below; with others the motions that they say
     /// at first have another size.
     #[serde(with = "by_name")]
     pub pose_weights: FirstWeights,
@@ -131,6 +138,7 @@ impl Default for NetsConfig {
             pose: PoseNetKind::Nano,
             flow: FlowNetKind::NanoRaftD4,
             rectify: Rectify::None,
+            depth_weights: FirstWeights::Random,
             flow_weights: FirstWeights::Embedded,
             pose_weights: FirstWeights::Embedded,
             pose_iterations: 2,
@@ -155,12 +163,14 @@ impl NetsConfig {
         {
             require((1..=16).contains(&looks), key, looks, "must be 1 to 16")?;
         }
+        let advice = "none are part of the program; use \"random\", or a folder of weights";
+        require(self.depth_weights != FirstWeights::Embedded, "nets.depth_weights", &self.depth_weights, advice)?;
         let embedded = self.flow_weights == FirstWeights::Embedded && self.flow != FlowNetKind::NanoRaftD4;
         let advice =
-            "only those of nano_raft_d4 are part of the program; use \"random\", or a file that 'dimode pretrain flow' wrote";
+            "only those of nano_raft_d4 are part of the program; use \"random\", or a file of weights";
         require(!embedded, "nets.flow_weights", &self.flow_weights, advice)?;
         let embedded = self.pose_weights == FirstWeights::Embedded && self.pose != PoseNetKind::Nano;
-        let advice = "only those of nano are part of the program; use \"random\", or a folder that 'dimode pretrain pose' wrote";
+        let advice = "only those of nano are part of the program; use \"random\", or a folder of weights";
         require(!embedded, "nets.pose_weights", &self.pose_weights, advice)?;
         positive("nets.rotation_scale", self.rotation_scale)?;
         positive("nets.tangential_scale", self.tangential_scale)?;

@@ -1,4 +1,6 @@
-//! Where the first weights of the flow and the pose network come from.
+//! Where the first weights of the networks come from.
+
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use dimode_nets::{ParamSet, WeightError, weights};
@@ -28,57 +30,94 @@ pub struct FirstWeightsError {
     pub advice: &'static str,
 }
 
-/// **Errors** [`DataError::Missing`] when nothing is where the configuration points.
-fn check_present(nets: &NetsConfig) -> Result<(), DataError> {
-    if let FirstWeights::File(path) = &nets.flow_weights
-        && !path.is_file()
-    {
-        let advice = "check nets.flow_weights: embedded, random or a file that 'dimode pretrain flow' wrote".to_owned();
-        return Err(DataError::Missing { path: path.clone(), what: "flow weights".to_owned(), advice });
-    }
-    if let FirstWeights::File(path) = &nets.pose_weights
-        && !path.is_dir()
-    {
-        let advice = "check nets.pose_weights: embedded, random or a folder that 'dimode pretrain pose' wrote".to_owned();
-        return Err(DataError::Missing { path: path.clone(), what: "pose weights".to_owned(), advice });
-    }
-    Ok(())
+/// A network whose first weights a setting names.
+struct Part<'a> {
+    setting: &'static str,
+    /// What the program has for it: file by file.
+    embedded: &'static [(&'static str, &'static [u8])],
+    from: &'a FirstWeights,
+    set: &'a mut ParamSet<f32>,
+    advice: &'static str,
 }
 
-/// Replaces fresh weights of the flow and the pose network by those that the configuration names.
+/// Replaces fresh weights by those that the configuration names. Says, a line each, which files of a network were not there: their
+/// part stays random.
 ///
 /// # Errors
 /// [`DataError::Missing`] when nothing is where the configuration points; [`FirstWeightsError`] when no weights are embedded for
-/// this size, or a file cannot be read or does not fit.
-pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<()> {
-    check_present(nets)?;
-    load_flow_weights(&nets.flow_weights, &mut fresh.flow).map_err(|source| FirstWeightsError {
-        setting: "nets.flow_weights",
-        source: Box::new(source),
-        advice: "name a file that 'dimode pretrain flow' wrote for this size of network, or leave nets.flow_weights out",
-    })?;
-    load_pose_weights(&nets.pose_weights, &mut fresh.pose).map_err(|source| FirstWeightsError {
-        setting: "nets.pose_weights",
-        source: Box::new(source),
-        advice: "name a folder that 'dimode pretrain pose' wrote for this size of network, or leave nets.pose_weights out",
-    })?;
-    Ok(())
+/// this size, or a file cannot be read or does not fit. Nothing is changed then.
+pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<Vec<String>> {
+    let mut loaded = fresh.clone();
+    let parts = [
+        Part {
+            setting: "nets.depth_weights",
+            embedded: &[],
+            from: &nets.depth_weights,
+            set: &mut loaded.depth,
+            advice: "name weights of this network, or leave nets.depth_weights out",
+        },
+        Part {
+            setting: "nets.flow_weights",
+            embedded: &[("raft", FLOW)],
+            from: &nets.flow_weights,
+            set: &mut loaded.flow,
+            advice: "name a file that 'dimode pretrain flow' wrote for this size of network, or leave nets.flow_weights out",
+        },
+        Part {
+            setting: "nets.pose_weights",
+            embedded: &POSE,
+            from: &nets.pose_weights,
+            set: &mut loaded.pose,
+            advice: "name a folder that 'dimode pretrain pose' wrote for this size of network, or leave nets.pose_weights out",
+        },
+    ];
+    let mut notes = Vec::new();
+    for part in parts {
+        match part.from {
+            FirstWeights::Random => {}
+            FirstWeights::Embedded => embedded(part.set, part.embedded).map_err(|source| part.error(source))?,
+            FirstWeights::File(path) => notes.extend(part.load(path)?),
+        }
+    }
+    *fresh = loaded;
+    Ok(notes)
 }
 
-fn load_flow_weights(from: &FirstWeights, set: &mut ParamSet<f32>) -> Result<(), WeightError> {
-    match from {
-        FirstWeights::Random => Ok(()),
-        FirstWeights::Embedded => embedded(set, &[("raft", FLOW)]),
-        FirstWeights::File(path) => weights::load(path, set.file_mut("raft")),
+impl Part<'_> {
+    fn error(&self, source: WeightError) -> FirstWeightsError {
+        FirstWeightsError { setting: self.setting, source: Box::new(source), advice: self.advice }
+    }
+
+    /// Loads the files of the network that are there, and says which are not.
+    fn load(self, path: &Path) -> Result<Vec<String>> {
+        let names: Vec<String> = self.set.files().map(|(name, _)| name.to_owned()).collect();
+        let found: Vec<(String, Option<PathBuf>)> = match &names[..] {
+            [only] if path.is_file() => vec![(only.clone(), Some(path.to_owned()))],
+            _ => names.into_iter().map(|name| (name.clone(), file_of(path, &name))).collect(),
+        };
+        if found.iter().all(|(_, file)| file.is_none()) {
+            let files: Vec<String> = found.iter().map(|(name, _)| format!("{name}.safetensors or {name}.pth")).collect();
+            let advice = format!("check {}: a folder with {}", self.setting, files.join(", "));
+            return Err(DataError::Missing { path: path.to_owned(), what: "weights".to_owned(), advice }.into());
+        }
+        let mut notes = Vec::new();
+        for (name, file) in found {
+            match file {
+                Some(file) => weights::load(&file, self.set.file_mut(&name)).map_err(|source| FirstWeightsError {
+                    setting: self.setting,
+                    source: Box::new(source),
+                    advice: self.advice,
+                })?,
+                None => notes.push(format!("{}: no {name} in {}; that part starts random", self.setting, path.display())),
+            }
+        }
+        Ok(notes)
     }
 }
 
-fn load_pose_weights(from: &FirstWeights, set: &mut ParamSet<f32>) -> Result<(), WeightError> {
-    match from {
-        FirstWeights::Random => Ok(()),
-        FirstWeights::Embedded => embedded(set, &POSE),
-        FirstWeights::File(path) => weights::load_directory(path, set),
-    }
+/// The file of a part of a network in a folder.
+fn file_of(folder: &Path, name: &str) -> Option<PathBuf> {
+    ["safetensors", "pth"].map(|kind| folder.join(format!("{name}.{kind}"))).into_iter().find(|file| file.is_file())
 }
 
 fn embedded(set: &mut ParamSet<f32>, files: &[(&str, &[u8])]) -> Result<(), WeightError> {

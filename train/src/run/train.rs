@@ -46,7 +46,8 @@ pub fn train(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool)
 
 fn run(request: &TrainRequest, progress: &dyn Progress, stop: &AtomicBool) -> Result<TrainOutcome> {
     let config = &request.config;
-    let Begun { folder, dataset, mut trainer, mut log, mut step } = begin(request)?;
+    let Begun { folder, dataset, mut trainer, mut log, mut step, notes } = begin(request)?;
+    notes.iter().for_each(|note| progress.note(note));
     let lengths: Vec<usize> = (0..dataset.sequence_count()).map(|s| dataset.sequence_len(s)).collect();
     let mut sampler = Sampler::new(lengths, config.seed, config.train.batch);
     let schedule = Schedule::new(&config.train);
@@ -131,6 +132,8 @@ struct Begun {
     log: RunLog,
     /// Steps done.
     step: u64,
+    /// What the user should know of the first weights.
+    notes: Vec<String>,
 }
 
 /// Checks what can be known before the first step, then goes on from the checkpoint or makes a folder that has one.
@@ -143,10 +146,10 @@ fn begin(request: &TrainRequest) -> Result<Begun> {
         let folder = RunFolder::open(&request.out)?;
         let (trainer, step) = restore(config, &folder.checkpoint())?;
         let log = RunLog::resume(&folder.log(), step)?;
-        return Ok(Begun { folder, dataset, trainer, log, step });
+        return Ok(Begun { folder, dataset, trainer, log, step, notes: Vec::new() });
     }
     let mut weights = Model::new(&config.nets).init(config.seed);
-    load_first_weights(&config.nets, &mut weights)?;
+    let notes = load_first_weights(&config.nets, &mut weights)?;
     let trainer = Trainer::new(config, weights, State::default());
     let folder = RunFolder::create(&request.out, config, &request.command, request.start == Start::Replace)?;
     let first_files = || -> Result<RunLog> {
@@ -155,7 +158,7 @@ fn begin(request: &TrainRequest) -> Result<Begun> {
         Ok(log)
     };
     let log = first_files().inspect_err(|_| folder.give_up())?;
-    Ok(Begun { folder, dataset, trainer, log, step: 0 })
+    Ok(Begun { folder, dataset, trainer, log, step: 0, notes })
 }
 
 /// The networks of a checkpoint, and the number of steps done.

@@ -55,11 +55,12 @@ const BACKWARD: &[&str] = &["backward_data", "backward_weight"];
 const LOSS: [&str; 2] = ["loss core 640x192 b1", "loss core 640x192 b4"];
 const STEP: [&str; 2] = ["step width 64 640x192 b1", "step width 64 640x192 b4"];
 const NANO: &str = "step width 16 192x64 b4";
+const PAPER: &str = "step lite-mono, resnet18, raft-small 640x192 b1";
 const ENCODER: &str = "encoder width 64 640x192 b1";
 
 /// The goals; ratios are the peer's time over ours.
 #[rustfmt::skip]
-const GOALS: [Goal; 36] = [
+const GOALS: [Goal; 38] = [
     goal("loss core b1 / eager", 20.0, 40.0, Ratio(["loss", LOSS[0], "all", "eager default"])),
     goal("loss core b1 / compiled", 5.0, 10.0, Ratio(["loss", LOSS[0], "all", "compile tuned"])),
     goal("loss core b4 / eager", 20.0, 40.0, Ratio(["loss", LOSS[1], "all", "eager default"])),
@@ -95,6 +96,8 @@ const GOALS: [Goal; 36] = [
     goal("the same beyond the start: without program and libraries", 0.6, 0.4, Memory(STEP[0], true)),
     goal("peak memory, Monodepth2 step b4, ours / PyTorch default", 0.6, 0.4, Memory(STEP[1], false)),
     goal("the same beyond the start, b4", 0.6, 0.4, Memory(STEP[1], true)),
+    told("step of Lite-Mono, ResNet-18, RAFT small, b1 / eager default", Ratio(["step", PAPER, "step", "nchw default"])),
+    told("its peak memory, ours / PyTorch default", Memory(PAPER, false)),
     told("Monodepth2 step 640x192 b1 / channels-last tuned", Ratio(["step", STEP[0], "step", "channels_last tuned"])),
 ];
 

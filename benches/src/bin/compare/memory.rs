@@ -32,8 +32,8 @@ pub struct Peak {
 }
 
 /// The cases whose memory is measured.
-pub fn cases() -> [StepCase; 3] {
-    [StepCase::monodepth2(1), StepCase::monodepth2(4), StepCase::nano(4)]
+pub fn cases() -> [StepCase; 4] {
+    [StepCase::monodepth2(1), StepCase::monodepth2(4), StepCase::nano(4), StepCase::paper()]
 }
 
 const ALLOCATORS: [Allocator; 2] = [Allocator::Default, Allocator::Tuned];

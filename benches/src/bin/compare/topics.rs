@@ -124,7 +124,9 @@ impl Topic {
             ],
             Self::Networks => NetworkCase::all().into_iter().take(if quick { 3 } else { usize::MAX }).map(boxed).collect(),
             Self::Step if quick => vec![boxed(StepCase::nano(4))],
-            Self::Step => vec![boxed(StepCase::nano(4)), boxed(StepCase::monodepth2(1)), boxed(StepCase::monodepth2(4))],
+            Self::Step => {
+                [StepCase::nano(4), StepCase::monodepth2(1), StepCase::monodepth2(4), StepCase::paper()].map(boxed).into()
+            }
             Self::Memory | Self::Allocations | Self::Peak | Self::RustPeers | Self::All => Vec::new(),
         }
     }

@@ -1,0 +1,91 @@
+//! Every network that a configuration can name trains together with the others.
+
+use dimode::batch::{Batch, Images};
+use dimode::config::{Config, FirstWeights, StageConfig};
+use dimode::model::{Model, Weights};
+use dimode::optim::adamw::State;
+use dimode::trainer::Trainer;
+use dimode_autodiff::{Shape, rng};
+use dimode_geometry::Intrinsics;
+use dimode_nets::{DepthNetKind, FlowNetKind, PoseNetKind};
+
+/// Sides of the images.
+const SIDE: usize = 64;
+
+/// The settings of a run with these networks.
+fn config(depth: DepthNetKind, pose: PoseNetKind, flow: FlowNetKind) -> Config {
+    let mut config = Config::default();
+    (config.data.width, config.data.height) = (SIDE, SIDE);
+    let nets = &mut config.nets;
+    (nets.depth, nets.pose, nets.flow, nets.flow_iterations) = (depth, pose, flow, 2);
+    (nets.flow_weights, nets.pose_weights) = (FirstWeights::Random, FirstWeights::Random);
+    config
+}
+
+/// Two samples of drawn images.
+fn batch() -> Batch {
+    let image = |seed| rng::uniform::<f32>(seed, Shape::new(2, 3, SIDE, SIDE), 0.0, 1.0);
+    let images = Images { target: image(1), previous: image(2), next: image(3) };
+    let camera = Intrinsics::new(60.0, 60.0, 31.5, 31.5, SIDE, SIDE).expect("a camera");
+    Batch {
+        names: vec!["one".into(), "two".into()],
+        snippets: vec![(0, 1), (0, 2)],
+        flipped: vec![false; 2],
+        seen: images.clone(),
+        plain: images,
+        intrinsics: vec![camera; 2],
+        pseudo_depth: None,
+    }
+}
+
+/// Takes a step with every loss of the paper that needs no pseudo-depth, all three networks trained, and checks that each of them moves.
+fn trains(depth: DepthNetKind, pose: PoseNetKind, flow: FlowNetKind) {
+    let name = format!("{depth}, {pose}, {flow}");
+    let config = config(depth, pose, flow);
+    config.validate().unwrap_or_else(|error| panic!("{name}: {error}"));
+    let weights = Model::new(&config.nets).init(1);
+    let before = weights.clone();
+    let mut trainer = Trainer::new(&config, weights, State::default());
+    let stage = StageConfig { lambda1: 0.1, lambda2: 0.1, train_flow: true, ..StageConfig::new("all", 1.0) };
+    let report = trainer.step(&batch(), None, &stage, 0, 1e-3, false).unwrap_or_else(|error| panic!("{name}: {error}"));
+    assert!(report.total.is_finite(), "{name}");
+    for (norm, network) in report.network_gradients.into_iter().zip(Weights::NAMES).take(3) {
+        assert!(norm.is_some_and(|norm| norm > 0.0), "{name}: no gradient of the {network} network");
+    }
+    for ((now, before), network) in trainer.weights().sets().into_iter().zip(before.sets()).zip(Weights::NAMES).take(3) {
+        let moved = now.trainable().zip(before.trainable()).filter(|(a, b)| a.1.tensor().data() != b.1.tensor().data()).count();
+        assert!(2 * moved > now.trainable().count(), "{name}: {moved} tensors of the {network} network moved");
+    }
+}
+
+#[test]
+fn every_triple_of_nano_networks_trains() {
+    for depth in [DepthNetKind::NanoResnet, DepthNetKind::NanoLiteMono, DepthNetKind::NanoDHrnet] {
+        for pose in [PoseNetKind::Nano, PoseNetKind::NanoScipad] {
+            for flow in [FlowNetKind::NanoRaft, FlowNetKind::NanoRaftD4] {
+                trains(depth, pose, flow);
+            }
+        }
+    }
+}
+
+/// Networks share nothing but images, so each one in some triple is enough for the large ones.
+#[test]
+fn every_network_of_full_size_trains() {
+    let depths = DepthNetKind::ALL.into_iter().filter(|kind| !kind.to_string().starts_with("nano"));
+    let poses = [PoseNetKind::Resnet18, PoseNetKind::Scipad].into_iter().cycle();
+    let flows = [FlowNetKind::RaftSmall, FlowNetKind::RaftFull].into_iter().cycle();
+    for ((depth, pose), flow) in depths.zip(poses).zip(flows) {
+        trains(depth, pose, flow);
+    }
+}
+
+#[test]
+fn frames_that_a_network_cannot_take_are_refused_before_the_first_step() {
+    let kinds = (DepthNetKind::NanoLiteMono, PoseNetKind::Nano, FlowNetKind::NanoRaft);
+    let mut config = config(kinds.0, kinds.1, kinds.2);
+    assert!(config.validate().is_ok());
+    config.data.width = 80;
+    let message = config.validate().unwrap_err().to_string();
+    assert!(message.contains("80"), "{message}");
+}
