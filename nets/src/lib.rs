@@ -55,7 +55,7 @@ pub use param_set::ParamSet;
 pub use params::{Entry, Kind, Params};
 pub use pose_decoder::PoseDecoder;
 pub use pose_net::{PoseNet, PoseNetConfig, PoseNetKind, PosePrediction};
-pub use raft::{FlowNet, FlowNetConfig, FlowNetKind, FlowOptions, FlowTrace, ImageRange};
+pub use raft::{FlowNet, FlowNetConfig, FlowNetKind, FlowOptions, FlowTrace, ImageRange, PaddingStyle};
 pub use rectify_net::{RectifyNet, RectifyNetConfig};
 pub use replace_file::replace_file;
 pub use resnet_depth::{ResNetDepth, ResNetDepthConfig};

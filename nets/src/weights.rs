@@ -154,7 +154,7 @@ fn words<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> {
 }
 
 /// Replaces every value of `params` by those of `tensors`; nothing changes on an error.
-/// A `module.` prefix is stripped.
+/// A `module.` prefix is stripped, and the second name of a tensor that the reference registers twice stands for its first.
 ///
 /// # Errors
 /// [`WeightError::Mismatch`] with all differences, unless names and dimensions are equal; [`WeightError::NonFinite`] for the first
@@ -165,6 +165,7 @@ pub fn assign<T: Scalar>(params: &mut Params<T>, tensors: Vec<StoredTensor>, ori
         let name = tensor.name.strip_prefix(WRAPPER).unwrap_or(&tensor.name);
         given.insert(name.to_owned(), tensor);
     }
+    names::resolve_aliases(params, &mut given);
     let (mut missing, mut misshapen) = (Vec::new(), Vec::new());
     for (name, entry) in params.iter() {
         match given.get(name) {
@@ -258,6 +259,8 @@ pub fn load_directory<T: Scalar>(directory: &Path, set: &mut ParamSet<T>) -> Res
 fn file_path(directory: &Path, file: &str) -> PathBuf {
     directory.join(format!("{file}.safetensors"))
 }
+
+mod names;
 
 #[cfg(test)]
 mod tests;

@@ -149,11 +149,11 @@ fn flow() -> (FlowNet, ParamSet<f32>) {
 fn flow_takes_either_range_of_pixel_values() {
     let (net, params) = flow();
     let tape = Tape::new();
-    let binder = Binder::frozen(&tape, &params);
+    let mut binder = Binder::frozen(&tape, &params);
     let (a, b) = (tape.constant(image("a", 1)), tape.constant(image("b", 1)));
-    let unit = net.forward(&binder, a, b, 2)[1].value();
+    let unit = net.forward(&mut binder, a, b, 2)[1].value();
     let options = FlowOptions { iterations: Some(2), range: ImageRange::Byte, last_only: true };
-    let trace = net.trace(&binder, a.scale(255.0), b.scale(255.0), &options);
+    let trace = net.trace(&mut binder, a.scale(255.0), b.scale(255.0), &options);
     assert_eq!(trace.flows.len(), 1);
     let byte = trace.flows[0].value();
     let largest = unit.data().iter().fold(0f32, |m, v| m.max(v.abs()));
@@ -194,8 +194,8 @@ fn bits() -> Vec<u32> {
     let mut rectify_binder = Binder::new(&tape, &params, Mode::Train);
     let angles = rectify.forward(&mut rectify_binder, a, b);
     let (flow, params) = flow();
-    let flow_binder = Binder::new(&tape, &params, Mode::Train);
-    let field = flow.forward(&flow_binder, a, b, 2)[1];
+    let mut flow_binder = Binder::new(&tape, &params, Mode::Train);
+    let field = flow.forward(&mut flow_binder, a, b, 2)[1];
     note(&disparity.value());
     note(&field.value());
     note(&angles.value());

@@ -92,10 +92,10 @@ fn snippet_flow(
     let (targets, sources) = (join_in(pool, &[&target, &target]), join_in(pool, &[&previous, &next]));
     let flow = |first: &Tensor<f32>, second: &Tensor<f32>| {
         let tape = Tape::with_pool(pool.clone());
-        let net = Binder::frozen(&tape, weights);
+        let mut net = Binder::frozen(&tape, weights);
         let options = FlowOptions { iterations: Some(model.flow_iterations), last_only: true, ..FlowOptions::default() };
         let [first, second] = [first, second].map(|images| tape.constant(images.clone()));
-        model.flow.trace(&net, first, second, &options).flows[0].value()
+        model.flow.trace(&mut net, first, second, &options).flows[0].value()
     };
     let there = flow(&targets, &sources);
     if both_ways { join(&[&there, &flow(&sources, &targets)]) } else { there }

@@ -227,7 +227,7 @@ impl Trainer {
         let [of_depth, of_motion] = [(); 2].map(|()| Tape::with_pool(self.pool.clone()));
         let mut depth = binder(&of_depth, &self.weights.depth, stage.train_depth, draw);
         let mut pose = binder(&of_motion, &self.weights.pose, stage.train_pose, draw);
-        let flow = binder(&of_motion, &self.weights.flow, stage.train_flow, draw);
+        let mut flow = binder(&of_motion, &self.weights.flow, stage.train_flow, draw);
         let mut rectify = binder(&of_motion, &self.weights.rectify, stage.train_pose, draw);
         let rectified = self.model.rectify.as_ref().map(|net| self.rectified(net, &mut rectify, batch, step));
         let seen = match &rectified {
@@ -235,7 +235,7 @@ impl Trainer {
             None => join_in(&self.pool, &[&batch.seen.previous, &batch.seen.next]),
         };
         let outputs = Outputs {
-            flow: self.flow_between(&flow, batch, needs.flow, (stage, observed)),
+            flow: self.flow_between(&mut flow, batch, needs.flow, (stage, observed)),
             rectified: rectified.as_ref().map(|rectified| rectified.plain),
             ..self.run_networks((batch, &seen), (stage, needs), &mut depth, &mut pose)
         };
@@ -268,14 +268,14 @@ impl Trainer {
     /// The flow network's own terms on some pairs of the batch, and the gradients of its weights.
     fn flow_gradients(&self, batch: &Batch) -> Result<(Vec<TermReport>, Vec<ParamGradient<f32>>), Failure> {
         let tape = Tape::with_pool(self.pool.clone());
-        let net = Binder::new(&tape, &self.weights.flow, Mode::Train);
+        let mut net = Binder::new(&tape, &self.weights.flow, Mode::Train);
         let settings = &self.config.loss.flow;
         let pairs = settings.pairs.min(batch.names.len());
         let part = |x: &Tensor<f32>| tape.constant(x.clone()).slice(0, 0, pairs);
         let (target, next) = (part(&batch.plain.target), part(&batch.plain.next));
-        let flows = self.model.flow.forward(&net, target, next, self.model.flow_iterations);
+        let flows = self.model.flow.forward(&mut net, target, next, self.model.flow_iterations);
         let back = objective::flow::needs_flow_back(settings)
-            .then(|| self.model.flow.forward(&net, next, target, self.model.flow_iterations));
+            .then(|| self.model.flow.forward(&mut net, next, target, self.model.flow_iterations));
         let (loss, terms) = objective::flow::measure(settings, [target, next], &flows, back.as_deref())?;
         Ok((terms, net.gradients(&tape.backward_and_free(loss))))
     }

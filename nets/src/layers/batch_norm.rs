@@ -7,21 +7,40 @@ use crate::{Binder, Blueprint, Init, Mode, StatisticsUpdate};
 /// Added to the variance before the square root.
 const EPSILON: f64 = 1e-5;
 
+/// Statistics that a batch normalisation takes in [`Mode::Train`]; in [`Mode::Eval`] it takes the running ones.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TrainingStatistics {
+    /// Those of the batch, which also move the running ones.
+    #[default]
+    Batch,
+    /// The running ones, which stay as they are: a frozen layer, whose scale and offset still learn.
+    Running,
+}
+
 /// Batch normalisation over N, H and W: `path.weight`, `.bias`, `.running_mean`, `.running_var`,
 /// all of dimension (channels).
 ///
 /// In [`Mode::Train`] the biased variance of the batch normalises and the unbiased one is handed
-/// to the binder for the running value; in [`Mode::Eval`] the running values are used.
+/// to the binder for the running value; in [`Mode::Eval`], and always with [`TrainingStatistics::Running`], the running values
+/// are used.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BatchNorm {
     path: String,
     channels: usize,
+    statistics: TrainingStatistics,
 }
 
 impl BatchNorm {
     /// The layer stored at `path`.
     pub fn new(path: impl Into<String>, channels: usize) -> Self {
-        Self { path: path.into(), channels }
+        Self { path: path.into(), channels, statistics: TrainingStatistics::Batch }
+    }
+
+    /// With the given statistics in training.
+    #[must_use]
+    pub fn statistics(mut self, statistics: TrainingStatistics) -> Self {
+        self.statistics = statistics;
+        self
     }
 
     fn part(&self, part: &str) -> String {
@@ -52,12 +71,12 @@ impl BatchNorm {
     ) -> Var<'t, T> {
         let gamma = binder.param(&self.part("weight"));
         let beta = binder.param(&self.part("bias"));
-        match binder.mode() {
-            Mode::Eval => {
+        match (binder.mode(), self.statistics) {
+            (Mode::Eval, _) | (_, TrainingStatistics::Running) => {
                 let statistics = ["running_mean", "running_var"].map(|part| binder.buffer(&self.part(part)));
                 x.batch_norm_eval_activated(gamma, beta, statistics, EPSILON, skip, activation)
             }
-            Mode::Train => {
+            (Mode::Train, TrainingStatistics::Batch) => {
                 let out = x.batch_norm_train_activated(gamma, beta, EPSILON, skip, activation);
                 let count = x.shape().n() * x.shape().plane();
                 binder.record_statistics(StatisticsUpdate {
@@ -102,16 +121,19 @@ mod tests {
     }
 
     #[test]
-    fn eval_reports_no_statistics() {
+    fn running_statistics_normalise_and_stay_in_evaluation_and_where_they_are_frozen() {
         let layer = BatchNorm::new("net:bn", 1);
         let mut blueprint = Blueprint::new();
         layer.declare(&mut blueprint);
         let params = blueprint.init::<f64>(0);
-        let tape = Tape::new();
-        let mut binder = Binder::new(&tape, &params, Mode::Eval);
-        let x = tape.constant(Tensor::full(Shape::new(1, 1, 1, 2), 2.0));
-        let y = layer.forward(&mut binder, x).value();
-        assert!((y.data()[0] - 2.0 / (1.0f64 + 1e-5).sqrt()).abs() < 1e-12);
-        assert!(binder.statistics().is_empty());
+        let frozen = layer.clone().statistics(TrainingStatistics::Running);
+        for (layer, mode) in [(&layer, Mode::Eval), (&frozen, Mode::Eval), (&frozen, Mode::Train)] {
+            let tape = Tape::new();
+            let mut binder = Binder::new(&tape, &params, mode);
+            let x = tape.constant(Tensor::full(Shape::new(1, 1, 1, 2), 2.0));
+            let y = layer.forward(&mut binder, x).value();
+            assert!((y.data()[0] - 2.0 / (1.0f64 + 1e-5).sqrt()).abs() < 1e-12);
+            assert!(binder.statistics().is_empty());
+        }
     }
 }

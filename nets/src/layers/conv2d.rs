@@ -40,6 +40,14 @@ impl ConvLayer {
         }
     }
 
+    /// With a kernel of the given odd height and width in place of a square one; the padding keeps the size.
+    #[must_use]
+    pub fn kernel(mut self, height: usize, width: usize) -> Self {
+        self.kernel = (height, width);
+        self.options.padding = (height / 2, width / 2);
+        self
+    }
+
     /// With another stride, the same along both axes.
     #[must_use]
     pub fn stride(mut self, stride: usize) -> Self {
@@ -102,6 +110,11 @@ impl ConvLayer {
     /// Multiply-accumulates of one output value.
     pub fn macs_per_output(&self) -> usize {
         self.inputs / self.options.groups * self.kernel.0 * self.kernel.1
+    }
+
+    /// Multiply-accumulates of the values of all output channels at one position.
+    pub fn macs_per_position(&self) -> usize {
+        self.outputs * self.macs_per_output()
     }
 
     /// Adds weight and bias to the list.

@@ -4,10 +4,14 @@ mod basic_block;
 mod batch_norm;
 mod bottleneck;
 mod conv2d;
+mod norm;
 mod reflect_conv;
+mod residual_block;
 
 pub use basic_block::BasicBlock;
-pub use batch_norm::BatchNorm;
-pub use bottleneck::{Bottleneck, Norm};
+pub use batch_norm::{BatchNorm, TrainingStatistics};
+pub use bottleneck::Bottleneck;
 pub use conv2d::ConvLayer;
+pub use norm::{Norm, NormLayer};
 pub use reflect_conv::ReflectConv;
+pub use residual_block::ResidualBlock;

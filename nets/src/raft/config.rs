@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use crate::UnknownName;
 use crate::kind::{name_of, parse_name};
+use crate::layers::{Norm, TrainingStatistics};
 
 /// Flow networks that can be asked for by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,10 +16,16 @@ pub enum FlowNetKind {
     NanoRaftD4,
     /// `raft_small`: the small reference, 990 thousand parameters.
     RaftSmall,
+    /// `raft_full`: the full reference, 5.26 million parameters.
+    RaftFull,
 }
 
-const NAMES: &[(&str, FlowNetKind)] =
-    &[("nano_raft", FlowNetKind::NanoRaft), ("nano_raft_d4", FlowNetKind::NanoRaftD4), ("raft_small", FlowNetKind::RaftSmall)];
+const NAMES: &[(&str, FlowNetKind)] = &[
+    ("nano_raft", FlowNetKind::NanoRaft),
+    ("nano_raft_d4", FlowNetKind::NanoRaftD4),
+    ("raft_small", FlowNetKind::RaftSmall),
+    ("raft_full", FlowNetKind::RaftFull),
+];
 
 impl FlowNetKind {
     /// The sizes behind the name.
@@ -27,6 +34,7 @@ impl FlowNetKind {
             Self::NanoRaft => FlowNetConfig::nano_raft(),
             Self::NanoRaftD4 => FlowNetConfig::nano_raft_d4(),
             Self::RaftSmall => FlowNetConfig::raft_small(),
+            Self::RaftFull => FlowNetConfig::raft_full(),
         }
     }
 }
@@ -44,12 +52,34 @@ impl fmt::Display for FlowNetKind {
     }
 }
 
+/// Which parts a [`crate::FlowNet`] is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RaftVariant {
+    /// Bottlenecks, no norm in the context encoder, a recurrent unit of 3x3 convolutions, bilinear upsampling.
+    Small,
+    /// Residual blocks, batch norm in the context encoder, a recurrent unit of a 1x5 and a 5x1 pass, convex upsampling.
+    Full(RaftFull),
+}
+
+/// What the full variant has and the small one has not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RaftFull {
+    /// First layer, 1x1, of the correlation branch of the motion encoder; the second one is 3x3.
+    pub lookup: usize,
+    /// Hidden layer of the mask head, which says how to upsample.
+    pub mask: usize,
+    /// What the batch norms of the context encoder do in training. The reference trains them on FlyingChairs only.
+    pub statistics: TrainingStatistics,
+}
+
 /// Sizes of a [`crate::FlowNet`]; all counts are channels unless said otherwise.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FlowNetConfig {
+    /// Kind of the blocks, the recurrent unit and the upsampling.
+    pub variant: RaftVariant,
     /// Stem of both encoders, at half the size.
     pub stem: usize,
-    /// The three stages of both encoders; each a multiple of four.
+    /// The three stages of both encoders; each a multiple of four in the small variant.
     pub stages: [usize; 3],
     /// Stride of the third stage: 2 for flow at 1/8, 1 for flow at 1/4 of the size.
     pub last_stride: usize,
@@ -63,7 +93,7 @@ pub struct FlowNetConfig {
     pub levels: usize,
     /// Look-up radius in cells of each level.
     pub radius: usize,
-    /// Correlation branch of the motion encoder.
+    /// Correlation branch of the motion encoder, at its end.
     pub correlation: usize,
     /// Flow branch of the motion encoder: 7x7, then 3x3 convolution.
     pub flow: [usize; 2],
@@ -79,6 +109,7 @@ impl FlowNetConfig {
     /// The nano size, flow at 1/8 of the image size.
     pub fn nano_raft() -> Self {
         Self {
+            variant: RaftVariant::Small,
             stem: 16,
             stages: [16, 24, 32],
             last_stride: 2,
@@ -103,6 +134,7 @@ impl FlowNetConfig {
     /// The small reference network.
     pub fn raft_small() -> Self {
         Self {
+            variant: RaftVariant::Small,
             stem: 32,
             stages: [32, 64, 96],
             last_stride: 2,
@@ -116,6 +148,44 @@ impl FlowNetConfig {
             motion: 80,
             head: 128,
             iterations: 12,
+        }
+    }
+
+    /// The full reference network, its batch norms frozen.
+    pub fn raft_full() -> Self {
+        Self {
+            variant: RaftVariant::Full(RaftFull { lookup: 256, mask: 256, statistics: TrainingStatistics::Running }),
+            stem: 64,
+            stages: [64, 96, 128],
+            last_stride: 2,
+            features: 256,
+            hidden: 128,
+            context: 128,
+            levels: 4,
+            radius: 4,
+            correlation: 192,
+            flow: [128, 64],
+            motion: 126,
+            head: 256,
+            iterations: 12,
+        }
+    }
+
+    /// The same sizes for the first training from random weights, in which batch norms learn their statistics: the
+    /// FlyingChairs stage of the reference.
+    #[must_use]
+    pub fn learning_statistics(mut self) -> Self {
+        if let RaftVariant::Full(full) = &mut self.variant {
+            full.statistics = TrainingStatistics::Batch;
+        }
+        self
+    }
+
+    /// The norm of the context encoder.
+    pub(super) fn context_norm(&self) -> Norm {
+        match self.variant {
+            RaftVariant::Small => Norm::None,
+            RaftVariant::Full(full) => Norm::Batch(full.statistics),
         }
     }
 
@@ -154,5 +224,6 @@ mod tests {
         assert_eq!(count(FlowNetKind::NanoRaft), 151_810);
         assert_eq!(count(FlowNetKind::NanoRaftD4), 151_810);
         assert_eq!(count(FlowNetKind::RaftSmall), 990_162);
+        assert_eq!(count(FlowNetKind::RaftFull), 5_257_536);
     }
 }

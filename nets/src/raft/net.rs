@@ -4,9 +4,11 @@ use dimode_autodiff::{Scalar, Shape, Tape, Tensor, Var};
 
 use super::FlowNetConfig;
 use super::encoder::Encoder;
+use super::padding::{Padding, PaddingStyle};
 use super::update::UpdateBlock;
+use super::upsampler::Upsampler;
 use crate::layers::Norm;
-use crate::{Binder, Blueprint, Network, ParamSet};
+use crate::{Binder, Blueprint, Network, ParamSet, UnfitSize, size};
 
 /// Range of the pixel values handed to the flow network.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -55,6 +57,7 @@ pub struct FlowNet {
     features: Encoder,
     context: Encoder,
     update: UpdateBlock,
+    upsampler: Upsampler,
 }
 
 impl FlowNet {
@@ -63,8 +66,9 @@ impl FlowNet {
         let state = config.hidden + config.context;
         Self {
             features: Encoder::new("raft:fnet", &config, config.features, Norm::Instance),
-            context: Encoder::new("raft:cnet", &config, state, Norm::None),
+            context: Encoder::new("raft:cnet", &config, state, config.context_norm()),
             update: UpdateBlock::new("raft:update_block", &config),
+            upsampler: Upsampler::new("raft:update_block", &config),
             config,
         }
     }
@@ -72,6 +76,21 @@ impl FlowNet {
     /// Sizes.
     pub fn config(&self) -> &FlowNetConfig {
         &self.config
+    }
+
+    /// Whether images of `height` rows and `width` columns fit: multiples of the factor between image and grid, and large enough
+    /// that the coarsest correlation map is not empty.
+    ///
+    /// # Errors
+    /// [`UnfitSize`] when they do not; [`FlowNet::predict_any_size`] takes them.
+    pub fn check_size(&self, height: usize, width: usize) -> Result<(), UnfitSize> {
+        size::fits("the flow network", self.size_rule(), (height, width))
+    }
+
+    /// What both sides are multiples of, and the shortest one.
+    fn size_rule(&self) -> (usize, usize) {
+        let factor = self.config.factor();
+        (factor, factor << (self.config.levels - 1))
     }
 
     /// Flow from the first to the second image after each of `iterations` refinements:
@@ -82,7 +101,7 @@ impl FlowNet {
     #[track_caller]
     pub fn forward<'t, T: Scalar>(
         &self,
-        binder: &Binder<'t, T>,
+        binder: &mut Binder<'t, T>,
         first: Var<'t, T>,
         second: Var<'t, T>,
         iterations: usize,
@@ -105,10 +124,30 @@ impl FlowNet {
         iterations: Option<usize>,
     ) -> Tensor<T> {
         let tape = Tape::new();
-        let binder = Binder::frozen(&tape, params);
+        let mut binder = Binder::frozen(&tape, params);
         let (first, second) = (tape.constant(first.clone()), tape.constant(second.clone()));
         let options = FlowOptions { iterations, last_only: true, ..FlowOptions::default() };
-        self.trace(&binder, first, second, &options).flows[0].value()
+        self.trace(&mut binder, first, second, &options).flows[0].value()
+    }
+
+    /// The same for frames of any size: copies of their edges fill them up, and the flow is cut to their size.
+    ///
+    /// # Panics
+    /// When the images differ in shape or no iteration is asked for.
+    #[track_caller]
+    pub fn predict_any_size<T: Scalar>(
+        &self,
+        params: &ParamSet<T>,
+        [first, second]: [&Tensor<T>; 2],
+        iterations: Option<usize>,
+        style: PaddingStyle,
+    ) -> Tensor<T> {
+        let tape = Tape::new();
+        let mut binder = Binder::frozen(&tape, params);
+        let padding = Padding::new(style, self.size_rule(), first.shape());
+        let [first, second] = [first, second].map(|image| padding.pad(tape.constant(image.clone())));
+        let options = FlowOptions { iterations, last_only: true, ..FlowOptions::default() };
+        padding.crop(self.trace(&mut binder, first, second, &options).flows[0]).value()
     }
 
     /// The forward pass with all its stages.
@@ -119,7 +158,7 @@ impl FlowNet {
     #[track_caller]
     pub fn trace<'t, T: Scalar>(
         &self,
-        binder: &Binder<'t, T>,
+        binder: &mut Binder<'t, T>,
         first: Var<'t, T>,
         second: Var<'t, T>,
         options: &FlowOptions,
@@ -129,8 +168,8 @@ impl FlowNet {
         let (first, second) = (normalise(first, options.range), normalise(second, options.range));
         let batch = first.shape().n();
         let features = Var::concat(&[first, second], 0);
-        let features = self.features.forward(binder, features);
-        let pyramid = self.pyramid(features.slice(0, 0, batch), features.slice(0, batch, batch));
+        let features = features.last_use(|images| self.features.forward(binder, images));
+        let pyramid = self.pyramid(binder, features.slice(0, 0, batch), features.slice(0, batch, batch));
         let context = self.context.forward(binder, first);
         let (h, c) = (self.config.hidden, self.config.context);
         let mut hidden = context.slice(1, 0, h).tanh();
@@ -148,7 +187,9 @@ impl FlowNet {
             flow = flow.add(delta);
             deltas.push(delta);
             if !options.last_only || iteration + 1 == iterations {
-                flows.push(self.upsample(flow));
+                flows.push(self.upsampler.forward(binder, flow, hidden));
+            } else {
+                self.upsampler.skip(binder, flow.shape());
             }
         }
         FlowTrace { flows, deltas, features, context, first_lookup, hidden }
@@ -156,31 +197,19 @@ impl FlowNet {
 
     #[track_caller]
     fn check(&self, first: Shape, second: Shape, iterations: usize) {
-        let factor = self.config.factor();
-        let coarsest = factor << (self.config.levels - 1);
         assert_eq!(first, second, "flow network: the two images differ in shape");
-        assert!(
-            [first.h(), first.w()].iter().all(|&s| s.is_multiple_of(factor) && s >= coarsest),
-            "flow network: height and width of {first:?} must be multiples of {factor}, \
-             at least {coarsest}"
-        );
+        self.check_size(first.h(), first.w()).unwrap_or_else(|unfit| panic!("{unfit}"));
         assert!(iterations > 0, "flow network: at least one iteration");
     }
 
     /// All-pairs correlation at level 0, halved over the second image at each further level.
-    fn pyramid<'t, T: Scalar>(&self, first: Var<'t, T>, second: Var<'t, T>) -> Vec<Var<'t, T>> {
+    fn pyramid<'t, T: Scalar>(&self, binder: &Binder<'t, T>, first: Var<'t, T>, second: Var<'t, T>) -> Vec<Var<'t, T>> {
         let mut pyramid = vec![first.correlation(second)];
+        binder.count_macs(first.shape().c() * pyramid[0].shape().len());
         for level in 1..self.config.levels {
             pyramid.push(pyramid[level - 1].avg_pool2d(2, 2, 0));
         }
         pyramid
-    }
-
-    /// Bilinear with aligned corners; the values grow with the size.
-    fn upsample<'t, T: Scalar>(&self, flow: Var<'t, T>) -> Var<'t, T> {
-        let factor = self.config.factor();
-        let (h, w) = (flow.shape().h() * factor, flow.shape().w() * factor);
-        flow.resize_bilinear(h, w, true).scale(factor as f64)
     }
 }
 
@@ -190,6 +219,7 @@ impl Network for FlowNet {
         self.features.declare(&mut blueprint);
         self.context.declare(&mut blueprint);
         self.update.declare(&mut blueprint);
+        self.upsampler.declare(&mut blueprint);
         blueprint
     }
 }

@@ -19,11 +19,9 @@ pub(super) struct UpdateBlock {
 impl UpdateBlock {
     pub(super) fn new(path: &str, config: &FlowNetConfig) -> Self {
         let head = |n: usize, inputs, outputs| ConvLayer::new(format!("{path}.flow_head.conv{n}"), inputs, outputs, 3);
-        let motion = config.motion + 2;
-        let gru = format!("{path}.gru");
         Self {
             encoder: MotionEncoder::new(&format!("{path}.encoder"), config),
-            gru: Gru::new(&gru, config.hidden, config.context, motion),
+            gru: Gru::new(&format!("{path}.gru"), config),
             head: [head(1, config.hidden, config.head), head(2, config.head, 2)],
         }
     }
@@ -49,7 +47,7 @@ impl UpdateBlock {
         flow: Var<'t, T>,
     ) -> (Var<'t, T>, Var<'t, T>) {
         let motion = self.encoder.forward(binder, lookup, flow);
-        let hidden = motion.last_use(|motion| gru.step(hidden, motion));
+        let hidden = motion.last_use(|motion| gru.step(binder, hidden, motion));
         let [first, second] = &self.head;
         let delta = first.activated(binder, hidden, Activation::Relu);
         (hidden, delta.last_use(|delta| second.forward(binder, delta)))

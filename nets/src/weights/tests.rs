@@ -128,3 +128,25 @@ fn damaged_files_are_errors() {
         assert!(matches!(result, Err(WeightError::Format { .. })), "{cut}");
     }
 }
+
+#[test]
+fn a_norm_that_is_registered_twice_is_found_under_either_name() {
+    let mut blueprint = Blueprint::new();
+    for name in ["layer2.0.norm3.weight", "layer2.0.downsample.0.bias", "res.0.downsample.1.weight"] {
+        blueprint.parameter(format!("net:{name}"), &[1], Init::Constant(0.0));
+    }
+    let assigned = |stored: &[(&str, f64)]| {
+        let mut params = blueprint.init::<f64>(1).file("net").unwrap().clone();
+        let tensor = |&(name, value): &(&str, f64)| StoredTensor { name: name.into(), dims: vec![1], values: vec![value] };
+        assign(&mut params, stored.iter().map(tensor).collect(), "memory")?;
+        Ok(params.iter().map(|(_, e)| e.tensor().item()).collect::<Vec<_>>())
+    };
+    let (first, second) = (("layer2.0.norm3.weight", 1.0), ("module.layer2.0.downsample.1.weight", 9.0));
+    let others = [("layer2.0.downsample.0.bias", 2.0), ("res.0.downsample.1.weight", 3.0)];
+    let with = |more: &[(&'static str, f64)]| assigned(&[&others[..], more].concat());
+    assert_eq!(with(&[first]).unwrap(), [1.0, 2.0, 3.0]);
+    assert_eq!(with(&[second]).unwrap(), [9.0, 2.0, 3.0]);
+    assert_eq!(with(&[second, first]).unwrap(), [1.0, 2.0, 3.0]);
+    let error: WeightError = with(&[]).unwrap_err();
+    assert!(error.to_string().contains("1 missing (layer2.0.norm3.weight)"), "{error}");
+}

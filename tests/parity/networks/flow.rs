@@ -47,3 +47,10 @@ fn raft_small() {
         check(FlowNetKind::RaftSmall, 4e-5);
     }
 }
+
+#[test]
+fn raft_full() {
+    if available("raft_full") {
+        check(FlowNetKind::RaftFull, 2e-5);
+    }
+}

@@ -30,7 +30,7 @@ pub struct PretrainFlowArgs {
     /// File to write (safetensors)
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Size of the network: nano_raft_d4, nano_raft or raft_small
+    /// Size of the network: nano_raft_d4, nano_raft, raft_small or raft_full
     #[arg(long, value_name = "NAME", default_value = "nano_raft_d4")]
     net: FlowNetKind,
     /// Refinements of the flow

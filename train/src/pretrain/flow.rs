@@ -30,9 +30,10 @@ impl FlowTask {
     /// Usual number of refinements.
     pub const ITERATIONS: usize = 4;
 
-    /// A network of the given size that refines its flow `iterations` times.
+    /// A network of the given size that refines its flow `iterations` times. Batch norms learn their statistics here; training
+    /// keeps them.
     pub fn new(net: FlowNetKind, iterations: usize) -> Self {
-        FlowTask { net: FlowNet::new(net.config()), iterations }
+        FlowTask { net: FlowNet::new(net.config().learning_statistics()), iterations }
     }
 }
 

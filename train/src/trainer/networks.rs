@@ -86,7 +86,7 @@ impl Trainer {
     /// Optical flow of a batch, as far as it is needed: with a gradient in stages that train its network, else as observed.
     pub(super) fn flow_between<'t>(
         &self,
-        net: &Binder<'t, f32>,
+        net: &mut Binder<'t, f32>,
         batch: &Batch,
         ways: FlowWays,
         (stage, observed): (&StageConfig, Option<&BatchFlow>),
@@ -100,10 +100,11 @@ impl Trainer {
             let images = &batch.plain;
             let targets = tape.constant(join_in(&self.pool, &[&images.target, &images.target]));
             let sources = tape.constant(join_in(&self.pool, &[&images.previous, &images.next]));
-            let said =
+            let mut said =
                 |first, second| *self.model.flow.forward(net, first, second, self.model.flow_iterations).last().expect("a flow");
             let backward = both_ways.then(|| said(sources, targets));
-            return Some(Flow { forward: said(targets, sources), backward, trained: true });
+            let forward = said(targets, sources);
+            return Some(Flow { forward, backward, trained: true });
         }
         let put = |flow: &BatchFlow| Flow {
             forward: tape.constant(flow.forward.clone()),
