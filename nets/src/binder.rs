@@ -39,6 +39,7 @@ pub struct ParamGradient<T: Scalar> {
 
 enum Bound<'t, T: Scalar> {
     Parameter(Var<'t, T>),
+    Frozen(Var<'t, T>),
     Buffer(Tensor<T>),
 }
 
@@ -64,7 +65,7 @@ struct Randomness {
 }
 
 impl<'t, T: Scalar> Binder<'t, T> {
-    /// Binds every parameter as a leaf that wants a gradient.
+    /// Binds every parameter as a leaf that wants a gradient, but for those of [`Kind::Frozen`], which are constants always.
     pub fn new(tape: &'t Tape<T>, params: &ParamSet<T>, mode: Mode) -> Self {
         Self::selective(tape, params, mode, |_| true)
     }
@@ -85,6 +86,7 @@ impl<'t, T: Scalar> Binder<'t, T> {
                 Kind::Buffer => Bound::Buffer(tensor),
                 Kind::Parameter if trainable(&path) => Bound::Parameter(tape.leaf(tensor)),
                 Kind::Parameter => Bound::Parameter(tape.constant(tensor)),
+                Kind::Frozen => Bound::Frozen(tape.constant(tensor)),
             };
             index.insert(path.clone(), bound.len());
             bound.push((path, item));
@@ -134,7 +136,7 @@ impl<'t, T: Scalar> Binder<'t, T> {
     #[track_caller]
     pub fn param(&self, path: &str) -> Var<'t, T> {
         match self.find(path) {
-            Bound::Parameter(var) => *var,
+            Bound::Parameter(var) | Bound::Frozen(var) => *var,
             Bound::Buffer(_) => panic!("binder: '{path}' is a buffer, not a parameter"),
         }
     }
@@ -147,7 +149,7 @@ impl<'t, T: Scalar> Binder<'t, T> {
     pub fn buffer(&self, path: &str) -> &Tensor<T> {
         match self.find(path) {
             Bound::Buffer(tensor) => tensor,
-            Bound::Parameter(_) => panic!("binder: '{path}' is a parameter, not a buffer"),
+            Bound::Parameter(_) | Bound::Frozen(_) => panic!("binder: '{path}' is a parameter, not a buffer"),
         }
     }
 
@@ -164,11 +166,11 @@ impl<'t, T: Scalar> Binder<'t, T> {
         self.statistics.push(update);
     }
 
-    /// The gradient of every parameter, constants included (zeros), in the order of
+    /// The gradient of every parameter that can be trained, constants included (zeros), in the order of
     /// [`ParamSet::trainable`].
     pub fn gradients(&self, gradients: &Gradients<T>) -> Vec<ParamGradient<T>> {
         let gradient = |(path, item): &(String, Bound<'t, T>)| match item {
-            Bound::Buffer(_) => None,
+            Bound::Buffer(_) | Bound::Frozen(_) => None,
             Bound::Parameter(var) => Some(ParamGradient {
                 path: path.clone(),
                 gradient: match gradients.get(*var) {
@@ -229,6 +231,20 @@ mod tests {
         let some = Binder::selective(&tape, &set, Mode::Train, |path| path == "net:b");
         assert!(!some.param("net:a").requires_grad());
         assert!(some.param("net:b").requires_grad());
+    }
+
+    #[test]
+    fn parameters_of_the_frozen_kind_are_constants_without_a_gradient() {
+        let (tape, mut set) = (Tape::new(), params());
+        let tensor = Tensor::full(Shape::new(1, 1, 1, 1), 2.0);
+        set.file_mut("net").insert("given", Entry::new(vec![1], Kind::Frozen, tensor));
+        let binder = Binder::new(&tape, &set, Mode::Train);
+        assert!(!binder.param("net:given").requires_grad());
+        let loss = binder.param("net:given").mul(binder.param("net:b").sum());
+        let gradients = binder.gradients(&tape.backward(loss));
+        let paths: Vec<&str> = gradients.iter().map(|g| g.path.as_str()).collect();
+        assert_eq!(paths, set.trainable().map(|(path, _)| path).collect::<Vec<_>>());
+        assert_eq!(gradients[1].gradient.data(), &[2.0, 2.0]);
     }
 
     #[test]

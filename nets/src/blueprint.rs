@@ -14,7 +14,7 @@ pub struct Declaration {
     pub path: String,
     /// Dimensions as in the checkpoint file, rank kept.
     pub dims: Vec<usize>,
-    /// Parameter (trained) or buffer (running statistic).
+    /// Parameter (trained or frozen) or buffer (running statistic).
     pub kind: Kind,
     /// How the start value is drawn.
     pub init: Init,
@@ -51,6 +51,20 @@ impl Blueprint {
         self.declare(path, dims, Kind::Buffer, init);
     }
 
+    /// Adds what `part` declares; its parameters are [`Kind::Frozen`].
+    ///
+    /// # Panics
+    /// As [`Blueprint::parameter`].
+    #[track_caller]
+    pub fn frozen(&mut self, part: impl FnOnce(&mut Blueprint)) {
+        let mut declared = Blueprint::new();
+        part(&mut declared);
+        for Declaration { path, dims, kind, init } in declared.declarations {
+            let kind = if kind == Kind::Parameter { Kind::Frozen } else { kind };
+            self.declare(path, &dims, kind, init);
+        }
+    }
+
     #[track_caller]
     fn declare(&mut self, path: String, dims: &[usize], kind: Kind, init: Init) {
         split_path(&path);
@@ -63,9 +77,9 @@ impl Blueprint {
         &self.declarations
     }
 
-    /// Number of trained scalars.
+    /// Number of scalars in parameters, trained and frozen.
     pub fn parameter_count(&self) -> usize {
-        self.declarations.iter().filter(|d| d.kind == Kind::Parameter).map(|d| d.dims.iter().product::<usize>()).sum()
+        self.declarations.iter().filter(|d| d.kind != Kind::Buffer).map(|d| d.dims.iter().product::<usize>()).sum()
     }
 
     /// Start values drawn from `seed`, by the rule of its [`crate::Init`].
@@ -126,6 +140,20 @@ mod tests {
         let paths: Vec<String> = set.iter().map(|(path, _)| path).collect();
         assert_eq!(paths, ["b:z", "b:a", "a:m"]);
         assert_eq!(set.get("b:a").unwrap().tensor().data(), &[2.0; 4]);
+    }
+
+    #[test]
+    fn parameters_of_a_frozen_part_are_counted_and_not_trained() {
+        let mut blueprint = Blueprint::new();
+        blueprint.parameter("f:own".into(), &[2], Init::Constant(1.0));
+        blueprint.frozen(|part| {
+            part.parameter("f:given".into(), &[3], Init::Constant(2.0));
+            part.buffer("f:mean".into(), &[5], Init::Constant(0.0));
+        });
+        let kinds: Vec<Kind> = blueprint.declarations().iter().map(|d| d.kind).collect();
+        assert_eq!(kinds, [Kind::Parameter, Kind::Frozen, Kind::Buffer]);
+        assert_eq!(blueprint.parameter_count(), 5);
+        assert_eq!(blueprint.init::<f64>(1).trainable().count(), 1);
     }
 
     #[test]

@@ -92,7 +92,7 @@ impl<T: Scalar> ParamSet<T> {
         self.len() == 0
     }
 
-    /// Number of trained scalars.
+    /// Number of scalars in parameters, trained and frozen.
     pub fn parameter_count(&self) -> usize {
         self.files.iter().map(|(_, p)| p.parameter_count()).sum()
     }
@@ -167,10 +167,12 @@ mod tests {
     }
 
     #[test]
-    fn trainable_leaves_buffers_out() {
-        let set = set();
-        assert_eq!(set.len(), 3);
-        assert_eq!(set.parameter_count(), 2);
+    fn trainable_leaves_buffers_and_frozen_parameters_out() {
+        let mut set = set();
+        let frozen = Entry::new(vec![3], Kind::Frozen, Tensor::full(Shape::new(1, 3, 1, 1), 1.0));
+        set.file_mut("net").insert("conv.weight", frozen);
+        assert_eq!(set.len(), 4);
+        assert_eq!(set.parameter_count(), 5);
         let paths: Vec<String> = set.trainable().map(|(path, _)| path).collect();
         assert_eq!(paths, ["net:bn.weight"]);
     }

@@ -9,6 +9,8 @@ use dimode_autodiff::{Scalar, Shape, Tensor};
 pub enum Kind {
     /// Changed by the optimiser.
     Parameter,
+    /// A parameter that no optimiser touches: a feature extractor that keeps the weights it came with.
+    Frozen,
     /// Stored and used, but not trained: running statistics.
     Buffer,
 }
@@ -37,7 +39,7 @@ impl<T: Scalar> Entry<T> {
         &self.dims
     }
 
-    /// Parameter or buffer.
+    /// What the tensor is for.
     pub fn kind(&self) -> Kind {
         self.kind
     }
@@ -142,9 +144,9 @@ impl<T: Scalar> Params<T> {
         self.entries.is_empty()
     }
 
-    /// Number of trained scalars.
+    /// Number of scalars in parameters, trained and frozen.
     pub fn parameter_count(&self) -> usize {
-        self.entries.iter().filter(|e| e.kind == Kind::Parameter).map(|e| e.tensor.shape().len()).sum()
+        self.entries.iter().filter(|e| e.kind != Kind::Buffer).map(|e| e.tensor.shape().len()).sum()
     }
 
     /// The same values in another scalar type.

@@ -51,7 +51,7 @@ fn check_manifest(name: &str, network: &impl Network) {
         let dims: Vec<usize> = serde_json::from_value(tensor["shape"].clone()).unwrap();
         assert_eq!(entry.dims(), dims, "{path}");
         let kind = match entry.kind() {
-            Kind::Parameter => "parameter",
+            Kind::Parameter | Kind::Frozen => "parameter",
             Kind::Buffer => "buffer",
         };
         assert_eq!(tensor["kind"], kind, "{path}");
