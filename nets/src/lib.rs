@@ -42,6 +42,7 @@ pub mod fill;
 pub mod init;
 pub mod layers;
 pub mod raft;
+pub mod scipad;
 pub mod weights;
 
 pub use binder::{Binder, Mode, ParamGradient, StatisticsUpdate};
@@ -61,5 +62,6 @@ pub use replace_file::replace_file;
 pub use resnet_depth::{ResNetDepth, ResNetDepthConfig};
 pub use resnet_encoder::{ResNetConfig, ResNetEncoder};
 pub use resnet_pose::{ResNetPose, ResNetPoseConfig};
+pub use scipad::{ScipadConfig, ScipadPose, ScipadTrace};
 pub use size::UnfitSize;
 pub use weights::WeightError;

@@ -6,7 +6,7 @@ use crate::layers::ConvLayer;
 use crate::{Binder, Blueprint};
 
 /// Factor on the raw output, so that a fresh network predicts small motions.
-const OUTPUT_SCALE: f64 = 0.01;
+pub(crate) const OUTPUT_SCALE: f64 = 0.01;
 
 /// Four convolutions, the mean over the map, and a factor 0.01.
 #[derive(Clone, Debug, PartialEq)]

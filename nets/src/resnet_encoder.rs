@@ -6,8 +6,8 @@ use crate::layers::{BasicBlock, BatchNorm, ConvLayer};
 use crate::{Binder, Blueprint, Init};
 
 /// Mean and deviation that the encoder takes out of every input channel.
-const INPUT_MEAN: f64 = 0.45;
-const INPUT_DEVIATION: f64 = 0.225;
+pub(crate) const INPUT_MEAN: f64 = 0.45;
+pub(crate) const INPUT_DEVIATION: f64 = 0.225;
 /// Classes of the unused classifier in the reference checkpoint.
 const CLASSES: usize = 1000;
 
@@ -54,8 +54,13 @@ impl ResNetEncoder {
 
     /// The encoder whose names start with the path `root`, for checkpoints that keep several modules in one file.
     pub fn under(root: String, config: ResNetConfig) -> Self {
+        Self::with_stem(root, ["conv1", "bn1"], config)
+    }
+
+    /// The same, with other names of the first convolution and its norm.
+    pub fn with_stem(root: String, [conv1, norm1]: [&str; 2], config: ResNetConfig) -> Self {
         let stem = config.widths[0];
-        let conv1 = ConvLayer::new(format!("{root}.conv1"), 3 * config.images, stem, 7);
+        let conv1 = ConvLayer::new(format!("{root}.{conv1}"), 3 * config.images, stem, 7);
         let layer = |level: usize| {
             let (before, width) = (config.widths[level], config.widths[level + 1]);
             let block = |j: usize| {
@@ -69,7 +74,7 @@ impl ResNetEncoder {
         };
         Self {
             conv1: conv1.stride(2).without_bias().kaiming(),
-            norm1: BatchNorm::new(format!("{root}.bn1"), stem),
+            norm1: BatchNorm::new(format!("{root}.{norm1}"), stem),
             layers: std::array::from_fn(layer),
             root,
             config,

@@ -2,7 +2,7 @@
 
 use dimode_autodiff::{Scalar, Var};
 
-use crate::{Binder, Blueprint, Network, PoseDecoder, ResNetConfig, ResNetEncoder};
+use crate::{Binder, Blueprint, Network, PoseDecoder, ResNetConfig, ResNetEncoder, UnfitSize, size};
 
 /// Sizes of a [`ResNetPose`].
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,12 +44,22 @@ impl ResNetPose {
         }
     }
 
+    /// Whether images of `height` rows and `width` columns fit: all that are not empty, since the mean over the coarsest map
+    /// takes any size.
+    ///
+    /// # Errors
+    /// [`UnfitSize`] when they do not.
+    pub fn check_size(&self, height: usize, width: usize) -> Result<(), UnfitSize> {
+        size::fits("the ResNet pose network", (1, 1), (height, width))
+    }
+
     /// Two images in [0, 1], each (N, 3, H, W), the earlier first -> five features of the stack.
     ///
     /// # Panics
-    /// When an image has not three channels or the two differ in size.
+    /// When an image has not three channels, is empty or the two differ in size.
     #[track_caller]
     pub fn features<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, first: Var<'t, T>, second: Var<'t, T>) -> [Var<'t, T>; 5] {
+        self.check_size(first.shape().h(), first.shape().w()).unwrap_or_else(|unfit| panic!("{unfit}"));
         let pair = Var::concat(&[first, second], 1);
         let features = self.encoder.forward(binder, pair);
         pair.release();

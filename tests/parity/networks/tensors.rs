@@ -78,8 +78,12 @@ fn depth_networks_have_the_tensors_of_the_reference() {
 #[test]
 fn pose_networks_have_the_tensors_of_the_reference() {
     check_manifest("nano_pose", &PoseNet::new(PoseNetKind::Nano.config()));
+    check_manifest("nano_scipad", &PoseNet::new(PoseNetKind::NanoScipad.config()));
     if available("resnet18_pose") {
         check_manifest("resnet18_pose", &PoseNet::new(PoseNetKind::Resnet18.config()));
+    }
+    if available("scipad_pose") {
+        check_manifest("scipad_pose", &PoseNet::new(PoseNetKind::Scipad.config()));
     }
 }
 

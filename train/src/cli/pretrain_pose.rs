@@ -27,10 +27,10 @@ Examples:
 #[derive(Debug, Args)]
 #[command(about = summary(LONG_ABOUT), long_about = LONG_ABOUT, after_help = EXAMPLES)]
 pub struct PretrainPoseArgs {
-    /// Folder to write pose_encoder.safetensors and pose.safetensors to
+    /// Folder to write pose_encoder.safetensors and pose.safetensors to, or posenet.safetensors with SCIPaD
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Size of the network: nano or resnet18
+    /// Size of the network: nano, resnet18, nano_scipad or scipad
     #[arg(long, value_name = "NAME", default_value = "nano")]
     net: PoseNetKind,
     /// Training steps

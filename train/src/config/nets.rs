@@ -103,9 +103,9 @@ pub struct NetsConfig {
     /// First weights of the flow network: `embedded`, `random` or a file.
     #[serde(with = "by_name")]
     pub flow_weights: FirstWeights,
-    /// First weights of the pose network: `embedded`, `random` or a folder, for instance with `pose_encoder.safetensors` and
-    /// `pose.safetensors`, as for depth. They belong to the default factors and depth range below; with others the motions that they say
-    /// at first have another size.
+    /// First weights of the pose network: `embedded`, `random` or a folder with `pose_encoder.safetensors` and
+    /// `pose.safetensors`, or with `posenet.safetensors` for SCIPaD. They belong to the default factors and depth range below;
+    /// with others the motions that they say at first have another size.
     #[serde(with = "by_name")]
     pub pose_weights: FirstWeights,
     /// Factor on the rotation vector that the pose network says. The reference head says hundredths of a radian, for

@@ -60,7 +60,7 @@ impl Task for PoseTask {
     type Batch = PoseBatch;
 
     const NETWORK: &'static str = "pose";
-    const FORM: Form = Form::Folder(&["pose_encoder.safetensors", "pose.safetensors"]);
+    const FORM: Form = Form::Folder(&["pose_encoder.safetensors", "pose.safetensors", "posenet.safetensors"]);
     const MEASURE: &'static str = "difference of flows";
     const BASELINE: &'static str = "no motion";
     const STREAM: u64 = 0x706f_7365;

@@ -15,7 +15,7 @@ use crate::data::staging::{Earlier, Staging};
 pub enum Form {
     /// One file, of any name, with the tensors of this file of the network.
     File(&'static str),
-    /// A folder with these files, all that the network has.
+    /// A folder with all files that the network has, of these; a folder of nothing else may be replaced.
     Folder(&'static [&'static str]),
 }
 
