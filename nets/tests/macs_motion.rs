@@ -1,0 +1,88 @@
+//! Multiply-accumulates of pose and flow networks, as published sizes and definitions give them.
+
+use dimode_autodiff::{Shape, Tape, Tensor};
+use dimode_nets::{Binder, FlowNet, FlowNetKind, FlowOptions, Mode, Network, PoseNet, PoseNetKind};
+
+/// Of one pair of width x height.
+fn pose(kind: PoseNetKind, (width, height): (usize, usize), mode: Mode) -> u64 {
+    let net = PoseNet::new(kind.config());
+    let params = net.init::<f32>(1);
+    let tape = Tape::new();
+    let mut binder = Binder::selective(&tape, &params, mode, |_| false);
+    let image = tape.constant(Tensor::full(Shape::new(1, 3, height, width), 0.5));
+    net.forward(&mut binder, image, image);
+    binder.macs()
+}
+
+/// Of one pair of width x height, with as many refinements as configured.
+fn flow(kind: FlowNetKind, (width, height): (usize, usize), last_only: bool) -> u64 {
+    let net = FlowNet::new(kind.config());
+    let params = net.init::<f32>(1);
+    let tape = Tape::new();
+    let mut binder = Binder::frozen(&tape, &params);
+    let image = tape.constant(Tensor::full(Shape::new(1, 3, height, width), 0.5));
+    net.trace(&mut binder, image, image, &FlowOptions { last_only, ..FlowOptions::default() });
+    binder.macs()
+}
+
+/// Millions, as many digits as asked for.
+fn millions(macs: u64, digits: usize) -> String {
+    format!("{:.digits$}", macs as f64 / 1e6)
+}
+
+/// Thousandths of a billion.
+fn billions(macs: u64) -> String {
+    format!("{:.3}", macs as f64 / 1e9)
+}
+
+const SMALL: (usize, usize) = (96, 64);
+const WIDE: (usize, usize) = (192, 64);
+const FULL: (usize, usize) = (640, 192);
+/// A tenth of the pixels of [`FULL`].
+const TENTH: (usize, usize) = (128, 96);
+/// What does not grow with the image in SCIPaD: its linear layers.
+const SCIPAD_LINEAR: u64 = 256 * 64 + 64 * 6;
+
+#[test]
+fn nano_pose_networks() {
+    for mode in [Mode::Train, Mode::Eval] {
+        let counts = |kind| [SMALL, WIDE].map(|size| millions(pose(kind, size, mode), 2));
+        assert_eq!(counts(PoseNetKind::Nano), ["13.62", "27.24"]);
+        assert_eq!(counts(PoseNetKind::NanoScipad), ["12.55", "25.10"], "{mode:?}");
+    }
+}
+
+#[test]
+fn nano_flow_networks() {
+    let small = |kind, last_only, digits| millions(flow(kind, SMALL, last_only), digits);
+    let wide = |kind, last_only| millions(flow(kind, WIDE, last_only), 1);
+    for last_only in [false, true] {
+        assert_eq!([small(FlowNetKind::NanoRaft, last_only, 2), wide(FlowNetKind::NanoRaft, last_only)], ["68.32", "137.5"]);
+        assert_eq!([small(FlowNetKind::NanoRaftD4, last_only, 1), wide(FlowNetKind::NanoRaftD4, last_only)], ["231.5", "477.1"]);
+    }
+}
+
+/// What grows with the pixels tenfold, the correlation volume a hundredfold.
+#[test]
+fn reference_sizes_from_a_tenth_of_the_image() {
+    assert_eq!(billions(10 * pose(PoseNetKind::Resnet18, TENTH, Mode::Eval)), "4.888");
+    let scipad = pose(PoseNetKind::Scipad, TENTH, Mode::Eval) - SCIPAD_LINEAR;
+    assert_eq!(billions(10 * scipad + SCIPAD_LINEAR), "27.020");
+    for (kind, features, expected) in [(FlowNetKind::RaftSmall, 128, "21.804"), (FlowNetKind::RaftFull, 256, "97.840")] {
+        let volume = features * 192 * 192;
+        assert_eq!(billions(10 * (flow(kind, TENTH, true) - volume) + 100 * volume), expected);
+    }
+}
+
+#[test]
+#[ignore = "half a minute and two gigabytes: the reference networks at the size of the published tables"]
+fn reference_sizes_at_full_size() {
+    assert_eq!(billions(pose(PoseNetKind::Resnet18, FULL, Mode::Eval)), "4.888");
+    for mode in [Mode::Eval, Mode::Train] {
+        assert_eq!(billions(pose(PoseNetKind::Scipad, FULL, mode)), "27.020");
+    }
+    assert_eq!(billions(flow(FlowNetKind::RaftSmall, FULL, true)), "21.804");
+    for last_only in [false, true] {
+        assert_eq!(billions(flow(FlowNetKind::RaftFull, FULL, last_only)), "97.840");
+    }
+}

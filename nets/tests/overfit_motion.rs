@@ -1,0 +1,146 @@
+//! Every pose and flow network learns one image pair by heart: the loss falls tenfold in a bounded number of steps.
+
+use std::collections::BTreeMap;
+
+use dimode_autodiff::{Shape, Tape, Tensor, Var};
+use dimode_nets::layers::TrainingStatistics;
+use dimode_nets::raft::{RaftFull, RaftVariant};
+use dimode_nets::{Binder, FlowNet, FlowNetConfig, FlowNetKind, Kind, Mode, Network, ParamSet, PoseNet, PoseNetKind};
+
+const SIZE: Shape = Shape([1, 3, 64, 96]);
+/// Displacement of the second image, along u and v in pixels.
+const SHIFT: [f64; 2] = [3.0, -2.0];
+
+/// A smooth texture in [0, 1], moved by `shift`.
+fn image(shift: [f64; 2]) -> Tensor<f32> {
+    Tensor::from_fn(SIZE, |_, c, v, u| {
+        let (x, y) = (u as f64 - shift[0], v as f64 - shift[1]);
+        let wave = |a: f64, b: f64, phase: f64| (a * x + b * y + phase + c as f64).sin();
+        let sum = wave(0.31, 0.12, 0.0) + wave(-0.17, 0.41, 1.0) + wave(0.53, -0.37, 2.0) + wave(0.08, 0.09, 3.0);
+        (0.5 + 0.12 * sum) as f32
+    })
+}
+
+/// Adam with its usual moments and a constant rate.
+struct Adam {
+    rate: f32,
+    step: i32,
+    moments: BTreeMap<String, Vec<[f32; 2]>>,
+}
+
+impl Adam {
+    fn new(rate: f32) -> Self {
+        Self { rate, step: 0, moments: BTreeMap::new() }
+    }
+
+    fn step(&mut self, params: &mut ParamSet<f32>, gradients: Vec<dimode_nets::ParamGradient<f32>>) {
+        self.step += 1;
+        let [first, second] = [0.9f32, 0.999].map(|decay| 1.0 - decay.powi(self.step));
+        for item in gradients {
+            let values = params.get_mut(&item.path).unwrap().data_mut();
+            let moments = self.moments.entry(item.path).or_insert_with(|| vec![[0.0; 2]; values.len()]);
+            for ((value, moment), &g) in values.iter_mut().zip(moments).zip(item.gradient.data()) {
+                *moment = [0.9 * moment[0] + 0.1 * g, 0.999 * moment[1] + 0.001 * g * g];
+                *value -= self.rate * (moment[0] / first) / ((moment[1] / second).sqrt() + 1e-8);
+            }
+        }
+    }
+}
+
+/// Trains at most `steps` steps, until the loss is a tenth of the first one, and gives the weights before and after.
+fn overfit(
+    network: &impl Network,
+    (rate, steps): (f32, usize),
+    loss: impl for<'t> Fn(&mut Binder<'t, f32>) -> Var<'t, f32>,
+) -> [ParamSet<f32>; 2] {
+    let start = network.init::<f32>(1);
+    let (mut params, mut adam, mut first) = (start.clone(), Adam::new(rate), None);
+    let mut last = f32::INFINITY;
+    for step in 0..steps {
+        let tape = Tape::new();
+        let mut binder = Binder::new(&tape, &params, Mode::Train);
+        let value = loss(&mut binder);
+        last = value.value().item();
+        let goal = *first.get_or_insert(last) / 10.0;
+        assert!(last.is_finite());
+        if last < goal {
+            println!("loss {:.4} fell to {last:.4} in {step} steps", goal * 10.0);
+            return [start, params];
+        }
+        let gradients = binder.gradients(&tape.backward_and_free(value));
+        let statistics = binder.into_statistics();
+        drop(tape);
+        adam.step(&mut params, gradients);
+        params.apply_statistics(&statistics);
+    }
+    panic!("the loss {:?} is at {last} after {steps} steps", first);
+}
+
+/// Hundredths of a radian and hundredths of the unit of length: what the factor of the decoders leaves near one.
+const POSE: [f64; 6] = [0.8, -0.5, 0.3, -1.0, 0.4, 1.2];
+
+fn pose(kind: PoseNetKind) -> [ParamSet<f32>; 2] {
+    let net = PoseNet::new(kind.config());
+    let pair = [image([0.0; 2]), image(SHIFT)];
+    overfit(&net, (1e-3, 60), |binder| {
+        let [first, second] = pair.each_ref().map(|image| binder.tape().constant(image.clone()));
+        let said = net.forward(binder, first, second);
+        let said = Var::concat(&[said.axis_angle, said.translation], 1).scale(100.0);
+        let target = POSE.map(|x| x as f32).to_vec();
+        said.sub(binder.tape().constant(Tensor::from_vec(Shape::new(1, 6, 1, 1), target))).square().mean()
+    })
+}
+
+#[test]
+fn nano_pose() {
+    pose(PoseNetKind::Nano);
+}
+
+#[test]
+fn nano_scipad_and_its_frozen_part_stays() {
+    let [before, after] = pose(PoseNetKind::NanoScipad);
+    let mut frozen = 0;
+    for ((path, before), (_, after)) in before.iter().zip(after.iter()) {
+        let same = before.tensor().data() == after.tensor().data();
+        match before.kind() {
+            Kind::Frozen => {
+                frozen += 1;
+                assert!(same, "{path} is frozen");
+            }
+            Kind::Buffer => assert!(!same, "{path} does not follow the batches"),
+            // What the reference never uses: the fourth projection.
+            Kind::Parameter => assert_eq!(same, path.contains("chn_reduction.3"), "{path}"),
+        }
+    }
+    assert!(frozen > 0);
+}
+
+fn flow(config: FlowNetConfig, pace: (f32, usize)) {
+    let net = FlowNet::new(config);
+    let pair = [image([0.0; 2]), image(SHIFT)];
+    let target = Tensor::from_fn(SIZE.with_c(2), |_, c, _, _| SHIFT[c] as f32);
+    overfit(&net, pace, |binder| {
+        let [first, second] = pair.each_ref().map(|image| binder.tape().constant(image.clone()));
+        let target = binder.tape().constant(target.clone());
+        let flows = net.forward(binder, first, second, 4);
+        let weighted = flows.iter().rev().zip(0..).map(|(flow, k)| flow.sub(target).abs().mean().scale(0.8f64.powi(k)));
+        weighted.reduce(Var::add).unwrap()
+    });
+}
+
+#[test]
+fn nano_raft() {
+    flow(FlowNetKind::NanoRaft.config(), (2e-3, 300));
+}
+
+#[test]
+fn nano_raft_d4() {
+    flow(FlowNetKind::NanoRaftD4.config(), (2e-3, 300));
+}
+
+/// The parts of the full network, small.
+#[test]
+fn raft_full_of_few_channels() {
+    let full = RaftFull { lookup: 32, mask: 32, statistics: TrainingStatistics::Batch };
+    flow(FlowNetConfig { variant: RaftVariant::Full(full), ..FlowNetConfig::nano_raft() }, (2e-3, 300));
+}
