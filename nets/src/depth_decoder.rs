@@ -45,6 +45,11 @@ impl DepthDecoder {
         self.heads.iter().for_each(|(_, h)| h.declare(blueprint));
     }
 
+    /// Number of disparities.
+    pub fn scales(&self) -> usize {
+        self.heads.len()
+    }
+
     /// Five features, fine to coarse -> one disparity in (0, 1) per scale, (N, 1, H / 2^s, W / 2^s),
     /// finest first.
     pub fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, features: &[Var<'t, T>; 5]) -> Vec<Var<'t, T>> {

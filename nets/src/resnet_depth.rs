@@ -2,7 +2,8 @@
 
 use dimode_autodiff::{Scalar, Var};
 
-use crate::{Binder, Blueprint, DepthDecoder, Network, ResNetConfig, ResNetEncoder};
+use crate::size::fits;
+use crate::{Binder, Blueprint, DepthDecoder, Network, ResNetConfig, ResNetEncoder, UnfitSize};
 
 /// Sizes of a [`ResNetDepth`].
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,19 +45,29 @@ impl ResNetDepth {
         }
     }
 
+    /// Whether images of this height and width can be taken.
+    ///
+    /// **Errors** unless both are multiples of 32, at least 64: the coarsest map must have at least two rows and columns to be
+    /// reflected at its border.
+    pub fn check_size(&self, height: usize, width: usize) -> Result<(), UnfitSize> {
+        fits("the ResNet depth network", (32, 64), (height, width))
+    }
+
+    /// Number of disparities.
+    pub fn scales(&self) -> usize {
+        self.decoder.scales()
+    }
+
     /// Images in [0, 1], (N, 3, H, W) -> five features, fine to coarse.
     ///
     /// # Panics
-    /// When height or width is not a multiple of 32 or below 64: the coarsest map must have at
-    /// least two rows and columns to be reflected at its border.
+    /// When the size does not fit, see [`ResNetDepth::check_size`].
     #[track_caller]
     pub fn features<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, images: Var<'t, T>) -> [Var<'t, T>; 5] {
         let shape = images.shape();
-        let fits = |size: usize| size.is_multiple_of(32) && size >= 64;
-        assert!(
-            fits(shape.h()) && fits(shape.w()),
-            "depth network: height and width of {shape:?} must be multiples of 32, at least 64"
-        );
+        if let Err(unfit) = self.check_size(shape.h(), shape.w()) {
+            panic!("{unfit}");
+        }
         self.encoder.forward(binder, images)
     }
 
