@@ -110,7 +110,7 @@ impl ResNetEncoder {
     pub fn forward<'t, T: Scalar>(&self, binder: &mut Binder<'t, T>, images: Var<'t, T>) -> [Var<'t, T>; 5] {
         let channels = 3 * self.config.images;
         assert_eq!(images.shape().c(), channels, "resnet encoder: input {:?} needs {channels} channels", images.shape());
-        let x = images.add_scalar(-INPUT_MEAN).last_use(|x| x.scale(1.0 / INPUT_DEVIATION));
+        let x = standardised(images);
         let x = x.last_use(|x| self.conv1.forward(binder, x));
         let first = x.last_use(|x| self.norm1.activated(binder, x, None, Activation::Relu));
         let mut features = [first; 5];
@@ -123,4 +123,9 @@ impl ResNetEncoder {
         }
         features
     }
+}
+
+/// Images in [0, 1] with one mean and one deviation taken out of all channels.
+pub(crate) fn standardised<T: Scalar>(images: Var<'_, T>) -> Var<'_, T> {
+    images.add_scalar(-INPUT_MEAN).last_use(|x| x.scale(1.0 / INPUT_DEVIATION))
 }

@@ -17,12 +17,13 @@ pub struct ConvLayer {
     start: Start,
 }
 
-/// How weights start; biases start at [`Init::fan_in`].
+/// How weights start; biases start at [`Init::fan_in`], beside normal weights at zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Start {
     FanIn,
     KaimingFanOut,
     Elu,
+    Normal(f64),
 }
 
 impl ConvLayer {
@@ -78,6 +79,13 @@ impl ConvLayer {
         self
     }
 
+    /// With weights that start uniform in `+-1/sqrt(fan_in)` ([`Init::fan_in`]), as they do unless told otherwise.
+    #[must_use]
+    pub fn fan_in(mut self) -> Self {
+        self.start = Start::FanIn;
+        self
+    }
+
     /// With weights that start Kaiming normal (fan-out) in place of uniform.
     #[must_use]
     pub fn kaiming(mut self) -> Self {
@@ -89,6 +97,13 @@ impl ConvLayer {
     #[must_use]
     pub fn before_elu(mut self) -> Self {
         self.start = Start::Elu;
+        self
+    }
+
+    /// With weights that start normal with the given deviation and a bias that starts at zero.
+    #[must_use]
+    pub fn normal(mut self, deviation: f64) -> Self {
+        self.start = Start::Normal(deviation);
         self
     }
 
@@ -122,14 +137,15 @@ impl ConvLayer {
         let (kh, kw) = self.kernel;
         let inputs = self.inputs / self.options.groups;
         let default = Init::fan_in(inputs * kh * kw);
-        let weight = match self.start {
-            Start::FanIn => default,
-            Start::KaimingFanOut => Init::kaiming_fan_out(self.outputs * kh * kw),
-            Start::Elu => Init::elu(inputs * kh * kw),
+        let (weight, bias) = match self.start {
+            Start::FanIn => (default, default),
+            Start::KaimingFanOut => (Init::kaiming_fan_out(self.outputs * kh * kw), default),
+            Start::Elu => (Init::elu(inputs * kh * kw), default),
+            Start::Normal(deviation) => (Init::Normal { deviation }, Init::Constant(0.0)),
         };
         blueprint.parameter(self.weight_path(), &[self.outputs, inputs, kh, kw], weight);
         if self.bias {
-            blueprint.parameter(self.bias_path(), &[self.outputs], default);
+            blueprint.parameter(self.bias_path(), &[self.outputs], bias);
         }
     }
 

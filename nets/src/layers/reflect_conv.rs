@@ -22,6 +22,18 @@ impl ReflectConv {
         Self { conv: ConvLayer::new(path, inputs, outputs, 3).reflect() }
     }
 
+    /// With weights that start uniform in `+-1/sqrt(fan_in)`, smaller than before an ELU else: where several units are added up.
+    #[must_use]
+    pub fn fan_in(self) -> Self {
+        Self { conv: self.conv.fan_in() }
+    }
+
+    /// With weights that start normal with the given deviation and a bias that starts at zero.
+    #[must_use]
+    pub fn normal(self, deviation: f64) -> Self {
+        Self { conv: self.conv.normal(deviation) }
+    }
+
     /// Adds weight and bias to the list.
     pub fn declare(&self, blueprint: &mut Blueprint) {
         self.conv.declare(blueprint);
