@@ -22,6 +22,7 @@
 
 mod binder;
 mod blueprint;
+mod d_hrnet;
 mod depth_decoder;
 mod depth_net;
 mod hash;
@@ -48,6 +49,7 @@ pub mod weights;
 
 pub use binder::{Binder, Mode, ParamGradient, StatisticsUpdate};
 pub use blueprint::{Blueprint, Declaration};
+pub use d_hrnet::{DHrNet, DHrNetConfig};
 pub use depth_decoder::DepthDecoder;
 pub use depth_net::{DepthNet, DepthNetConfig, DepthNetKind};
 pub use init::Init;
