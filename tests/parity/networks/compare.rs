@@ -14,7 +14,7 @@ pub struct Run<'t, T: Scalar> {
     pub mids: Vec<(String, Var<'t, T>)>,
 }
 
-/// Relative L2 limits in float32, by group. In float64 it is 1e-9 for all.
+/// Relative L2 limits in float32, by group. In float64 it is [`EXACT`] for all.
 #[derive(Clone, Copy)]
 pub struct Limits {
     pub out: f64,
@@ -31,13 +31,15 @@ pub struct Case<'a> {
     pub limits: Limits,
 }
 
-const EXACT: f64 = 1e-9;
+/// The limit in float64 unless the golden numbers themselves are further from what they should be.
+pub const EXACT: f64 = 1e-9;
 
 /// The comparison under way.
 struct Comparison<'a, T> {
     golden: &'a Golden,
     prefix: &'static str,
     limits: Limits,
+    exact: f64,
     double: bool,
     seen: BTreeSet<String>,
     worst: BTreeMap<&'static str, f64>,
@@ -51,13 +53,13 @@ impl<T: Scalar> Comparison<'_, T> {
         let plain = format!("{}.{group}.{name}", self.prefix);
         let double = format!("f64.{plain}");
         let (stored, limit) = match (self.double, self.golden.get(&double)) {
-            (true, Some(stored)) => (Some(stored), EXACT),
+            (true, Some(stored)) => (Some(stored), self.exact),
             _ => (self.golden.get(&plain), self.limit(group)),
         };
         let Some(stored) = stored else { return };
         self.seen.insert(plain.clone());
         let distance = relative_l2(values, &stored.values);
-        let exact = limit == EXACT || !self.double;
+        let exact = limit == self.exact || !self.double;
         let shown = self.worst.entry(if exact { group } else { "f32 only" }).or_default();
         *shown = shown.max(distance);
         if distance.is_nan() || distance > limit {
@@ -77,7 +79,7 @@ impl<T: Scalar> Comparison<'_, T> {
     /// The loss is a sum with cancellations: the limit is absolute, in units of the summed magnitudes.
     fn check_loss(&mut self, value: f64, magnitude: f64) {
         let plain = format!("{}.loss", self.prefix);
-        let (name, share) = if self.double { (format!("f64.{plain}"), EXACT) } else { (plain.clone(), 1e-5) };
+        let (name, share) = if self.double { (format!("f64.{plain}"), self.exact) } else { (plain.clone(), 1e-5) };
         let stored = self.golden.numbers(&name)[0];
         self.seen.insert(plain);
         if (value - stored).abs() > share * magnitude {
@@ -114,6 +116,16 @@ where
     N: Network,
     F: for<'t> Fn(&mut Binder<'t, T>, &[Var<'t, T>]) -> Run<'t, T>,
 {
+    compare_within::<T, N, F>(EXACT, case, network, forward);
+}
+
+/// The same with another limit in float64.
+pub fn compare_within<T, N, F>(exact: f64, case: &Case, network: &N, forward: F)
+where
+    T: Scalar,
+    N: Network,
+    F: for<'t> Fn(&mut Binder<'t, T>, &[Var<'t, T>]) -> Run<'t, T>,
+{
     let (golden, manifest) = (open(case.name), manifest(case.name));
     let mut params = network.blueprint().filled::<T>(|file| gain(&manifest, file));
     let prefix = match case.mode {
@@ -124,6 +136,7 @@ where
         golden: &golden,
         prefix,
         limits: case.limits,
+        exact,
         double: T::NAME == "f64",
         seen: BTreeSet::new(),
         worst: BTreeMap::new(),

@@ -70,8 +70,16 @@ fn check_manifest(name: &str, network: &impl Network) {
 #[test]
 fn depth_networks_have_the_tensors_of_the_reference() {
     check_manifest("nano_resnet_depth", &DepthNet::new(DepthNetKind::NanoResnet.config()));
-    if available("resnet18_depth") {
-        check_manifest("resnet18_depth", &DepthNet::new(DepthNetKind::Resnet18.config()));
+    check_manifest("nano_lite_mono", &DepthNet::new(DepthNetKind::NanoLiteMono.config()));
+    check_manifest("nano_d_hrnet", &DepthNet::new(DepthNetKind::NanoDHrNet.config()));
+    let full = [
+        ("resnet18_depth", DepthNetKind::Resnet18),
+        ("lite_mono", DepthNetKind::LiteMono),
+        ("lite_mono_tiny", DepthNetKind::LiteMonoTiny),
+        ("d_hrnet", DepthNetKind::DHrNet),
+    ];
+    for (name, kind) in full.into_iter().filter(|(name, _)| available(name)) {
+        check_manifest(name, &DepthNet::new(kind.config()));
     }
 }
 
