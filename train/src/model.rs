@@ -5,7 +5,7 @@ use std::sync::Arc;
 use dimode_autodiff::{Pool, Scalar, Shape, Tensor, Var};
 use dimode_nets::{Binder, DepthNet, FlowNet, Network, ParamSet, PoseNet, RectifyNet};
 
-use crate::config::{NetsConfig, SCALE_ANCHOR};
+use crate::config::{Config, NetsConfig, SCALE_ANCHOR};
 
 /// How a sigmoid output becomes depth: `1 / depth = 1/max + (1/min - 1/max) disparity`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,7 +106,13 @@ impl Weights {
 }
 
 impl Model {
-    /// The networks that a configuration names.
+    /// The networks of a run: those that its configuration names, for frames of its size.
+    pub fn of(config: &Config) -> Self {
+        let depth = config.nets.depth.config_for(config.data.height, config.data.width);
+        Model { depth: DepthNet::new(depth), ..Self::new(&config.nets) }
+    }
+
+    /// The networks that a configuration names, for frames of usual size.
     pub fn new(nets: &NetsConfig) -> Self {
         Model {
             depth: DepthNet::new(nets.depth.config()),

@@ -51,7 +51,7 @@ impl Trainer {
     /// A trainer that starts from the given weights.
     pub fn new(config: &Config, weights: Weights, optimiser: State) -> Self {
         let (largest, pool) = (BTreeMap::new(), Pool::new());
-        Trainer { model: Model::new(&config.nets), weights, optimiser, largest, config: config.clone(), pool }
+        Trainer { model: Model::of(config), weights, optimiser, largest, config: config.clone(), pool }
     }
 
     /// The weights of the networks.
@@ -355,7 +355,8 @@ mod tests {
                 Batch::load(self.frames.as_ref(), &[(0, 1)], (&config.train, &Teacher::None), 1, 0, &Pool::new()).unwrap();
             let tape = Tape::new();
             let sources = join_in(&trainer.pool, &[&batch.seen.previous, &batch.seen.next]);
-            let [mut depth, mut pose] = [&trainer.weights.depth, &trainer.weights.pose].map(|set| binder(&tape, set, true, (1, 0)));
+            let [mut depth, mut pose] =
+                [&trainer.weights.depth, &trainer.weights.pose].map(|set| binder(&tape, set, true, (1, 0)));
             trainer
                 .run_networks((&batch, &sources), (&config.train.stages[0], Needs::default()), &mut depth, &mut pose)
                 .motion

@@ -166,8 +166,7 @@ impl NetsConfig {
         let advice = "none are part of the program; use \"random\", or a folder of weights";
         require(self.depth_weights != FirstWeights::Embedded, "nets.depth_weights", &self.depth_weights, advice)?;
         let embedded = self.flow_weights == FirstWeights::Embedded && self.flow != FlowNetKind::NanoRaftD4;
-        let advice =
-            "only those of nano_raft_d4 are part of the program; use \"random\", or a file of weights";
+        let advice = "only those of nano_raft_d4 are part of the program; use \"random\", or a file of weights";
         require(!embedded, "nets.flow_weights", &self.flow_weights, advice)?;
         let embedded = self.pose_weights == FirstWeights::Embedded && self.pose != PoseNetKind::Nano;
         let advice = "only those of nano are part of the program; use \"random\", or a folder of weights";

@@ -148,7 +148,7 @@ fn begin(request: &TrainRequest) -> Result<Begun> {
         let log = RunLog::resume(&folder.log(), step)?;
         return Ok(Begun { folder, dataset, trainer, log, step, notes: Vec::new() });
     }
-    let mut weights = Model::new(&config.nets).init(config.seed);
+    let mut weights = Model::of(config).init(config.seed);
     let notes = load_first_weights(&config.nets, &mut weights)?;
     let trainer = Trainer::new(config, weights, State::default());
     let folder = RunFolder::create(&request.out, config, &request.command, request.start == Start::Replace)?;
@@ -163,7 +163,7 @@ fn begin(request: &TrainRequest) -> Result<Begun> {
 
 /// The networks of a checkpoint, and the number of steps done.
 fn restore(config: &Config, path: &Path) -> Result<(Trainer, u64)> {
-    let mut weights = Model::new(&config.nets).init(config.seed);
+    let mut weights = Model::of(config).init(config.seed);
     let checkpoint = Checkpoint::read(path)?;
     restore_weights(&mut weights, &checkpoint.tensors, path)?;
     let step = checkpoint.state["step"].as_u64().with_context(|| format!("{}: no step", path.display()))?;

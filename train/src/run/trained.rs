@@ -75,7 +75,7 @@ impl TrainedModel {
     pub fn load(run: &Path) -> Result<Self> {
         let folder = RunFolder::open(run)?;
         let config = folder.read_config()?;
-        let model = Model::new(&config.nets);
+        let model = Model::of(&config);
         let mut weights = model.init(config.seed);
         let path = folder.checkpoint();
         restore_weights(&mut weights, &Checkpoint::read(&path)?.tensors, &path)?;

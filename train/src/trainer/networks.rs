@@ -18,17 +18,8 @@ const DROPPED: u64 = 0x64_726f_7070;
 
 /// The weights of a network on a tape: with gradients, batch statistics and random layers, or as they are. The last
 /// argument is the seed of the run and the step.
-pub(super) fn binder<'t>(
-    tape: &'t Tape<f32>,
-    params: &ParamSet<f32>,
-    train: bool,
-    (seed, step): (u64, u64),
-) -> Binder<'t, f32> {
-    if train {
-        Binder::new(tape, params, Mode::Train).random(seed ^ DROPPED, step)
-    } else {
-        Binder::frozen(tape, params)
-    }
+pub(super) fn binder<'t>(tape: &'t Tape<f32>, params: &ParamSet<f32>, train: bool, (seed, step): (u64, u64)) -> Binder<'t, f32> {
+    if train { Binder::new(tape, params, Mode::Train).random(seed ^ DROPPED, step) } else { Binder::frozen(tape, params) }
 }
 
 impl Trainer {
