@@ -6,9 +6,11 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 
-use super::{kernel, unary};
+use pulp::{Arch, Simd, WithSimd};
+
+use super::unary;
 use crate::proof::{Number, Plain, Proof, Twin};
-use crate::{Scalar, Var};
+use crate::{Scalar, Var, par};
 
 /// Φ(x).
 #[inline(always)]
@@ -22,12 +24,50 @@ fn density<T: Scalar>(x: T) -> T {
     T::from_f64(0.5 * FRAC_1_SQRT_2 * FRAC_2_SQRT_PI) * (T::from_f64(-0.5) * x * x).exp()
 }
 
+/// The loop over values. A closure of this size is called entry by entry, unless the compiler happens to inline it: 15 times as slow.
+struct Values<'a, T> {
+    x: &'a [T],
+    y: &'a mut [T],
+}
+
+impl<T: Scalar> WithSimd for Values<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for (y, &x) in self.y.iter_mut().zip(self.x) {
+            *y = x * distribution(x);
+        }
+    }
+}
+
+/// The loop over gradients.
+struct Slopes<'a, T> {
+    x: &'a [T],
+    grad_y: &'a [T],
+    grad_x: &'a mut [T],
+}
+
+impl<T: Scalar> WithSimd for Slopes<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for ((grad_x, &g), &x) in self.grad_x.iter_mut().zip(self.grad_y).zip(self.x) {
+            *grad_x = g * (distribution(x) + x * density(x));
+        }
+    }
+}
+
 fn forward<T: Scalar>(x: &[T], y: &mut [T]) {
-    kernel::map(y, x, |x| x * distribution(x));
+    par::for_each_chunk(y, par::CHUNK, |i, y| {
+        Arch::new().dispatch(Values { x: &x[i * par::CHUNK..][..y.len()], y });
+    });
 }
 
 fn backward<T: Scalar>(x: &[T], grad_y: &[T], grad_x: &mut [T]) {
-    kernel::zip(grad_x, x, grad_y, |x, g| g * (distribution(x) + x * density(x)));
+    par::for_each_chunk(grad_x, par::CHUNK, |i, grad_x| {
+        let [x, grad_y] = [x, grad_y].map(|all| &all[i * par::CHUNK..][..grad_x.len()]);
+        Arch::new().dispatch(Slopes { x, grad_y, grad_x });
+    });
 }
 
 impl<'t, T: Scalar> Var<'t, T> {
