@@ -99,17 +99,17 @@ pub struct PosePrediction<'t, T: Scalar> {
 #[derive(Clone, Debug, PartialEq)]
 pub enum PoseNet {
     /// ResNet on two stacked images.
-    ResNet(ResNetPose),
+    ResNet(Box<ResNetPose>),
     /// Semantic features and the flow of frozen ones.
-    Scipad(ScipadPose),
+    Scipad(Box<ScipadPose>),
 }
 
 impl PoseNet {
     /// The network of the given architecture and sizes.
     pub fn new(config: PoseNetConfig) -> Self {
         match config {
-            PoseNetConfig::ResNet(config) => Self::ResNet(ResNetPose::new(config)),
-            PoseNetConfig::Scipad(config) => Self::Scipad(ScipadPose::new(config)),
+            PoseNetConfig::ResNet(config) => Self::ResNet(Box::new(ResNetPose::new(config))),
+            PoseNetConfig::Scipad(config) => Self::Scipad(Box::new(ScipadPose::new(config))),
         }
     }
 

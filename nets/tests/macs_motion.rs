@@ -40,15 +40,21 @@ const WIDE: (usize, usize) = (192, 64);
 const FULL: (usize, usize) = (640, 192);
 /// A tenth of the pixels of [`FULL`].
 const TENTH: (usize, usize) = (128, 96);
+/// Inner products over windows in the feature flow of nano_scipad at 96x64: channels, places of the window, cells.
+const NANO_WINDOWS: u64 = 16 * 81 * 16 * 24 + 32 * 25 * 8 * 12 + 64 * 9 * 4 * 6;
 /// What does not grow with the image in SCIPaD: its linear layers.
 const SCIPAD_LINEAR: u64 = 256 * 64 + 64 * 6;
 
 #[test]
 fn nano_pose_networks() {
     for mode in [Mode::Train, Mode::Eval] {
-        let counts = |kind| [SMALL, WIDE].map(|size| millions(pose(kind, size, mode), 2));
-        assert_eq!(counts(PoseNetKind::Nano), ["13.62", "27.24"]);
-        assert_eq!(counts(PoseNetKind::NanoScipad), ["12.55", "25.10"], "{mode:?}");
+        let counts = |kind| [SMALL, WIDE].map(|size| pose(kind, size, mode));
+        let texts = |counts: [u64; 2]| counts.map(|macs| millions(macs, 2));
+        assert_eq!(texts(counts(PoseNetKind::Nano)), ["13.62", "27.24"]);
+        // The published count of the reference size has the window products, that of the nano size has not.
+        let [small, wide] = counts(PoseNetKind::NanoScipad);
+        assert_eq!(texts([small, wide]), ["13.14", "26.27"], "{mode:?}");
+        assert_eq!(texts([small - NANO_WINDOWS, wide - 2 * NANO_WINDOWS]), ["12.55", "25.10"], "{mode:?}");
     }
 }
 
@@ -75,7 +81,7 @@ fn reference_sizes_from_a_tenth_of_the_image() {
 }
 
 #[test]
-#[ignore = "half a minute and two gigabytes: the reference networks at the size of the published tables"]
+#[ignore = "ten seconds: the reference networks at the size of the published tables"]
 fn reference_sizes_at_full_size() {
     assert_eq!(billions(pose(PoseNetKind::Resnet18, FULL, Mode::Eval)), "4.888");
     for mode in [Mode::Eval, Mode::Train] {

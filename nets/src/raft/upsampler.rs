@@ -13,34 +13,26 @@ const MASK_SCALE: f64 = 0.25;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Upsampler {
     factor: usize,
-    weights: Weights,
-}
-
-/// Where the weights of the interpolation come from.
-#[derive(Clone, Debug, PartialEq)]
-enum Weights {
-    /// Bilinear with aligned corners.
-    Bilinear,
-    /// A convex combination of 3x3 coarse neighbours, by a head on the hidden state.
-    Learned([ConvLayer; 2]),
+    /// Says from the hidden state how each pixel combines 3x3 coarse neighbours; without it, bilinear with aligned corners.
+    mask: Option<[ConvLayer; 2]>,
 }
 
 impl Upsampler {
     /// The upsampler of an update block stored under `path`.
     pub(super) fn new(path: &str, config: &FlowNetConfig) -> Self {
         let factor = config.factor();
-        let weights = match config.variant {
-            RaftVariant::Small => Weights::Bilinear,
-            RaftVariant::Full(full) => Weights::Learned([
+        let mask = match config.variant {
+            RaftVariant::Small => None,
+            RaftVariant::Full(full) => Some([
                 ConvLayer::new(format!("{path}.mask.0"), config.hidden, full.mask, 3),
                 ConvLayer::new(format!("{path}.mask.2"), full.mask, 9 * factor * factor, 1),
             ]),
         };
-        Self { factor, weights }
+        Self { factor, mask }
     }
 
     pub(super) fn declare(&self, blueprint: &mut Blueprint) {
-        if let Weights::Learned(head) = &self.weights {
+        if let Some(head) = &self.mask {
             head.iter().for_each(|conv| conv.declare(blueprint));
         }
     }
@@ -48,12 +40,12 @@ impl Upsampler {
     /// Flow (N, 2, h, w) in cells and hidden state (N, hidden, h, w) -> flow in pixels, (N, 2, factor h, factor w).
     pub(super) fn forward<'t, T: Scalar>(&self, binder: &Binder<'t, T>, flow: Var<'t, T>, hidden: Var<'t, T>) -> Var<'t, T> {
         let factor = self.factor;
-        match &self.weights {
-            Weights::Bilinear => {
+        match &self.mask {
+            None => {
                 let (h, w) = (flow.shape().h() * factor, flow.shape().w() * factor);
                 flow.resize_bilinear(h, w, true).last_use(|flow| flow.scale(factor as f64))
             }
-            Weights::Learned([first, second]) => {
+            Some([first, second]) => {
                 let mask = first.activated(binder, hidden, Activation::Relu);
                 let mask = mask.last_use(|mask| second.forward(binder, mask)).last_use(|mask| mask.scale(MASK_SCALE));
                 mask.last_use(|mask| flow.convex_upsample(mask, factor))
@@ -63,7 +55,7 @@ impl Upsampler {
 
     /// Counts the work of a flow that nobody asked for: the definition enlarges the flow of every iteration.
     pub(super) fn skip<T: Scalar>(&self, binder: &Binder<'_, T>, flow: Shape) {
-        if let Weights::Learned(head) = &self.weights {
+        if let Some(head) = &self.mask {
             let cells = flow.n() * flow.plane();
             binder.count_macs(head.iter().map(|conv| cells * conv.macs_per_position()).sum());
         }
