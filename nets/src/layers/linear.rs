@@ -13,12 +13,19 @@ pub struct LinearLayer {
     path: String,
     inputs: usize,
     outputs: usize,
+    weight: Init,
 }
 
 impl LinearLayer {
-    /// The layer stored at `path`; weights start Kaiming normal (fan-out), biases at [`Init::fan_in`].
+    /// The layer stored at `path`; weights and biases start at [`Init::fan_in`].
     pub fn new(path: impl Into<String>, inputs: usize, outputs: usize) -> Self {
-        Self { path: path.into(), inputs, outputs }
+        Self { path: path.into(), inputs, outputs, weight: Init::fan_in(inputs) }
+    }
+
+    /// With weights that start Kaiming normal (fan-out).
+    #[must_use]
+    pub fn kaiming(self) -> Self {
+        Self { weight: Init::kaiming_fan_out(self.outputs), ..self }
     }
 
     fn part(&self, part: &str) -> String {
@@ -28,7 +35,7 @@ impl LinearLayer {
     /// Adds weight and bias to the list.
     pub fn declare(&self, blueprint: &mut Blueprint) {
         let (inputs, outputs) = (self.inputs, self.outputs);
-        blueprint.parameter(self.part("weight"), &[outputs, inputs], Init::kaiming_fan_out(outputs));
+        blueprint.parameter(self.part("weight"), &[outputs, inputs], self.weight);
         blueprint.parameter(self.part("bias"), &[outputs], Init::fan_in(inputs));
     }
 

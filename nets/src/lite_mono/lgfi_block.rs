@@ -83,9 +83,9 @@ impl CrossCovarianceAttention {
     fn new(path: &str, channels: usize, heads: usize) -> Self {
         assert!(channels.is_multiple_of(heads), "attention: {channels} channels do not make {heads} heads");
         Self {
-            qkv: LinearLayer::new(format!("{path}.xca.qkv"), channels, 3 * channels),
+            qkv: LinearLayer::new(format!("{path}.xca.qkv"), channels, 3 * channels).kaiming(),
             temperature: format!("{path}.xca.temperature"),
-            projection: LinearLayer::new(format!("{path}.xca.proj"), channels, channels),
+            projection: LinearLayer::new(format!("{path}.xca.proj"), channels, channels).kaiming(),
             gamma: format!("{path}.gamma_xca"),
             channels,
             heads,

@@ -23,8 +23,8 @@ impl Pointwise {
     pub(super) fn new(path: &str, channels: usize, expansion: usize, drop_rate: f64) -> Self {
         let hidden = channels * expansion;
         Self {
-            wide: LinearLayer::new(format!("{path}.pwconv1"), channels, hidden),
-            narrow: LinearLayer::new(format!("{path}.pwconv2"), hidden, channels),
+            wide: LinearLayer::new(format!("{path}.pwconv1"), channels, hidden).kaiming(),
+            narrow: LinearLayer::new(format!("{path}.pwconv2"), hidden, channels).kaiming(),
             gamma: format!("{path}.gamma"),
             channels,
             drop: DropPath::new(format!("{path}.drop_path"), drop_rate),
