@@ -1,12 +1,12 @@
 //! Parameters on a tape for one step.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use dimode_autodiff::{Gradients, Scalar, Tape, Tensor, Var};
 
 use crate::hash::fnv1a64;
-use crate::{Kind, ParamSet};
+use crate::{Kind, ParamSet, Params};
 
 /// How batch normalisation behaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,7 +54,36 @@ pub struct Binder<'t, T: Scalar> {
     index: BTreeMap<String, usize>,
     statistics: Vec<StatisticsUpdate<T>>,
     randomness: Option<Randomness>,
-    macs: AtomicU64,
+    work: Work,
+}
+
+/// Multiply-accumulates by checkpoint file.
+struct Work {
+    /// Of all files.
+    total: AtomicU64,
+    /// For each file: the number of tensors up to its end, and what was counted.
+    files: Vec<(usize, AtomicU64)>,
+    /// Number of the tensor that was asked for last.
+    latest: AtomicUsize,
+}
+
+impl Work {
+    fn none<T: Scalar>(params: &ParamSet<T>) -> Self {
+        let mut end = 0;
+        let file = |(_, params): (&str, &Params<T>)| {
+            end += params.len();
+            (end, AtomicU64::new(0))
+        };
+        Self { total: AtomicU64::new(0), files: params.files().map(file).collect(), latest: AtomicUsize::new(0) }
+    }
+
+    fn add(&self, macs: usize) {
+        self.total.fetch_add(macs as u64, Ordering::Relaxed);
+        let latest = self.latest.load(Ordering::Relaxed);
+        if let Some((_, counted)) = self.files.iter().find(|(end, _)| latest < *end) {
+            counted.fetch_add(macs as u64, Ordering::Relaxed);
+        }
+    }
 }
 
 /// Where the random numbers of a step come from.
@@ -91,7 +120,7 @@ impl<'t, T: Scalar> Binder<'t, T> {
             index.insert(path.clone(), bound.len());
             bound.push((path, item));
         }
-        Self { tape, mode, bound, index, statistics: Vec::new(), randomness: None, macs: AtomicU64::new(0) }
+        Self { tape, mode, bound, index, statistics: Vec::new(), randomness: None, work: Work::none(params) }
     }
 
     /// With random layers at work: what a layer draws depends on `seed`, its path and `step` alone. Without this, and in
@@ -109,14 +138,20 @@ impl<'t, T: Scalar> Binder<'t, T> {
     }
 
     /// Counts the multiply-accumulates of a convolution or a matrix product, **as the network is defined**: a layer that finds
-    /// the same numbers with less work counts the work of its definition.
+    /// the same numbers with less work counts the work of its definition. They go to the checkpoint file of the tensor that was
+    /// asked for last: a layer asks for its tensors before it counts.
     pub(crate) fn count_macs(&self, macs: usize) {
-        self.macs.fetch_add(macs as u64, Ordering::Relaxed);
+        self.work.add(macs);
     }
 
     /// Multiply-accumulates of the convolutions and matrix products of all forward passes so far, and nothing else.
     pub fn macs(&self) -> u64 {
-        self.macs.load(Ordering::Relaxed)
+        self.work.total.load(Ordering::Relaxed)
+    }
+
+    /// The same for each checkpoint file, in the order of [`ParamSet::files`].
+    pub fn macs_by_file(&self) -> Vec<u64> {
+        self.work.files.iter().map(|(_, counted)| counted.load(Ordering::Relaxed)).collect()
     }
 
     /// The tape everything is bound to.
@@ -156,7 +191,10 @@ impl<'t, T: Scalar> Binder<'t, T> {
     #[track_caller]
     fn find(&self, path: &str) -> &Bound<'t, T> {
         match self.index.get(path) {
-            Some(&i) => &self.bound[i].1,
+            Some(&i) => {
+                self.work.latest.store(i, Ordering::Relaxed);
+                &self.bound[i].1
+            }
             None => panic!("binder: '{path}' is not among the bound parameters"),
         }
     }
@@ -245,6 +283,19 @@ mod tests {
         let paths: Vec<&str> = gradients.iter().map(|g| g.path.as_str()).collect();
         assert_eq!(paths, set.trainable().map(|(path, _)| path).collect::<Vec<_>>());
         assert_eq!(gradients[1].gradient.data(), &[2.0, 2.0]);
+    }
+
+    #[test]
+    fn work_goes_to_the_file_of_the_tensor_that_was_asked_for_last() {
+        let (tape, mut set) = (Tape::new(), params());
+        let entry = Entry::new(vec![1], Kind::Parameter, Tensor::full(Shape::new(1, 1, 1, 1), 2.0));
+        set.file_mut("head").insert("c", entry);
+        let binder = Binder::frozen(&tape, &set);
+        for (path, macs) in [("net:a", 1), ("head:c", 20), ("net:b", 300), ("net:m", 4000)] {
+            let _ = if path == "net:m" { binder.buffer(path).data()[0] } else { binder.param(path).value().data()[0] };
+            binder.count_macs(macs);
+        }
+        assert_eq!((binder.macs_by_file(), binder.macs()), (vec![4301, 20], 4321));
     }
 
     #[test]

@@ -47,6 +47,11 @@ const NAMES: &[(&str, DepthNetKind)] = &[
 ];
 
 impl DepthNetKind {
+    /// All of them, in the order in which messages list their names.
+    pub fn all() -> impl ExactSizeIterator<Item = Self> {
+        NAMES.iter().map(|&(_, kind)| kind)
+    }
+
     /// The sizes behind the name, for images of any size but those that [`DepthNetKind::config_for`] knows of.
     pub fn config(self) -> DepthNetConfig {
         match self {
@@ -210,6 +215,7 @@ mod tests {
     #[test]
     fn names_go_both_ways() {
         for &(name, kind) in NAMES {
+            assert!(DepthNetKind::all().any(|listed| listed == kind));
             assert_eq!(name.parse::<DepthNetKind>().unwrap(), kind);
             assert_eq!(kind.to_string(), name);
         }

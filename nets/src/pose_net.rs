@@ -31,6 +31,11 @@ const NAMES: &[(&str, PoseNetKind)] = &[
 ];
 
 impl PoseNetKind {
+    /// All of them, in the order in which messages list their names.
+    pub fn all() -> impl ExactSizeIterator<Item = Self> {
+        NAMES.iter().map(|&(_, kind)| kind)
+    }
+
     /// The sizes behind the name.
     pub fn config(self) -> PoseNetConfig {
         match self {
@@ -198,6 +203,7 @@ mod tests {
     #[test]
     fn names_go_both_ways() {
         for &(name, kind) in NAMES {
+            assert!(PoseNetKind::all().any(|listed| listed == kind));
             assert_eq!(name.parse::<PoseNetKind>().unwrap(), kind);
             assert_eq!(kind.to_string(), name);
         }

@@ -28,6 +28,11 @@ const NAMES: &[(&str, FlowNetKind)] = &[
 ];
 
 impl FlowNetKind {
+    /// All of them, in the order in which messages list their names.
+    pub fn all() -> impl ExactSizeIterator<Item = Self> {
+        NAMES.iter().map(|&(_, kind)| kind)
+    }
+
     /// The sizes behind the name.
     pub fn config(self) -> FlowNetConfig {
         match self {
@@ -209,6 +214,7 @@ mod tests {
     #[test]
     fn names_go_both_ways() {
         for &(name, kind) in NAMES {
+            assert!(FlowNetKind::all().any(|listed| listed == kind));
             assert_eq!(name.parse::<FlowNetKind>().unwrap(), kind);
             assert_eq!(kind.to_string(), name);
         }
