@@ -18,6 +18,7 @@ mod image_io;
 mod intrinsics_file;
 mod kitti_odometry;
 mod kitti_writer;
+mod npy;
 mod open;
 mod options;
 mod poses;
@@ -42,6 +43,7 @@ pub use image_io::{encode_depth_png, encode_rgb_png, read_depth_png, write_depth
 pub use intrinsics_file::IntrinsicsFile;
 pub use kitti_odometry::open_kitti_odometry;
 pub use kitti_writer::{WriteSummary, write_kitti};
+pub use npy::{encode_npy, write_npy};
 pub use open::open;
 pub use options::{KittiCamera, LoadOptions};
 pub use poses::{format_poses, parse_poses, read_poses};

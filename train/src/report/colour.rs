@@ -1,7 +1,11 @@
-//! Colours: two scales for numbers, a wheel for directions.
+//! Colours: scales for numbers, a wheel for directions.
 //!
-//! The scales are straight lines in sRGB between a few hand-set colours: `ember` runs from black over violet and red to a
-//! pale yellow with lightness rising all the way (depth), `spectrum` from dark blue over green to dark red (errors).
+//! The scales of the reports are straight lines in sRGB between a few hand-set colours: `ember` runs from black over violet and
+//! red to a pale yellow with lightness rising all the way (depth), `spectrum` from dark blue over green to dark red (errors).
+//! `magma` and `turbo` are the published tables of 256 colours (`assets/colours/`), for pictures that are compared with those of
+//! others.
+
+use std::sync::LazyLock;
 
 /// Red, green, blue.
 pub type Rgb = [u8; 3];
@@ -16,6 +20,24 @@ pub enum Scale {
     Ember,
     /// Blue, green, yellow, red; the ends are dark.
     Spectrum,
+    /// The published scale: black, violet, orange, pale yellow, with steadily rising lightness.
+    Magma,
+    /// The published scale: a rainbow of even steps, dark at both ends.
+    Turbo,
+}
+
+/// The published table of [`Scale::Magma`].
+static MAGMA: LazyLock<Vec<Rgb>> = LazyLock::new(|| table(include_str!("../../assets/colours/magma.txt")));
+/// The published table of [`Scale::Turbo`].
+static TURBO: LazyLock<Vec<Rgb>> = LazyLock::new(|| table(include_str!("../../assets/colours/turbo.txt")));
+
+/// One colour a line, `rrggbb`; lines that begin with `#` tell where they come from.
+fn table(text: &str) -> Vec<Rgb> {
+    let colour = |line: &str| {
+        let [_, r, g, b] = u32::from_str_radix(line, 16).expect("a colour of the embedded table").to_be_bytes();
+        [r, g, b]
+    };
+    text.lines().filter(|line| !line.starts_with('#')).map(colour).collect()
 }
 
 const EMBER: [Rgb; 9] = [
@@ -48,9 +70,11 @@ impl Scale {
         if !x.is_finite() {
             return UNKNOWN;
         }
-        let stops = match self {
+        let stops: &[Rgb] = match self {
             Self::Ember => &EMBER,
             Self::Spectrum => &SPECTRUM,
+            Self::Magma => &MAGMA,
+            Self::Turbo => &TURBO,
         };
         let position = x.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
         let low = (position as usize).min(stops.len() - 2);
@@ -109,6 +133,23 @@ mod tests {
     fn spectrum_is_dark_at_both_ends() {
         let light = |x: f64| lightness(Scale::Spectrum.at(x));
         assert!(light(0.0) < 60.0 && light(1.0) < 60.0 && light(0.5) > 180.0);
+    }
+
+    #[test]
+    fn published_scales_have_their_known_colours() {
+        let hex = |scale: Scale, i: u32| {
+            let [r, g, b] = scale.at(f64::from(i) / 255.0);
+            format!("{r:02x}{g:02x}{b:02x}")
+        };
+        assert_eq!([0, 128, 255].map(|i| hex(Scale::Magma, i)), ["000004", "b73779", "fcfdbf"]);
+        assert_eq!([0, 128, 255].map(|i| hex(Scale::Turbo, i)), ["30123b", "a4fc3c", "7a0403"]);
+        assert_eq!((MAGMA.len(), TURBO.len()), (256, 256));
+        let values: Vec<f64> = (0..256).map(|i| lightness(Scale::Magma.at(f64::from(i) / 255.0))).collect();
+        assert!(values.windows(2).all(|w| w[1] >= w[0] - 0.5));
+        assert!((0..255).all(|i| {
+            let (a, b) = (TURBO[i], TURBO[i + 1]);
+            (0..3).all(|k| a[k].abs_diff(b[k]) < 9)
+        }));
     }
 
     #[test]

@@ -11,9 +11,11 @@ pub mod drawing;
 mod error;
 pub mod figures;
 pub mod files;
+pub mod flow_wheel;
 mod html;
 pub mod ledger;
 pub mod picture;
+mod pixel_text;
 pub mod scale;
 pub mod svg;
 

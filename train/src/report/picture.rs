@@ -46,6 +46,23 @@ impl Picture {
         Self::of(depth.height, depth.width, depth.data.iter().map(colour))
     }
 
+    /// Depth in the colours of its inverse, from that of the farthest pixel to the 95 % point, as pictures of disparity are
+    /// published: near is at the upper end of the scale. Unknown depth is grey.
+    pub fn from_inverse_depth(depth: &Map, scale: Scale) -> Self {
+        let mut known: Vec<f64> = depth.data.iter().map(|&z| 1.0 / f64::from(z)).filter(|d| d.is_finite() && *d > 0.0).collect();
+        known.sort_unstable_by(f64::total_cmp);
+        let (low, high) = match known.len().checked_sub(1) {
+            Some(last) => (known[0], known[(0.95 * last as f64).round() as usize]),
+            None => (0.0, 1.0),
+        };
+        let span = (high - low).max(1e-6 * high);
+        let colour = |&z: &f32| {
+            let disparity = 1.0 / f64::from(z);
+            if disparity.is_finite() && disparity > 0.0 { scale.at((disparity - low) / span) } else { UNKNOWN }
+        };
+        Self::of(depth.height, depth.width, depth.data.iter().map(colour))
+    }
+
     /// Relative depth error |scale p - g| / g, from 0 to `full`; pixels without truth are grey.
     ///
     /// **Panics** when the maps differ in size.
@@ -184,6 +201,20 @@ mod tests {
         let picture = Picture::from_depth_error(&map(&[1.0, 1.0, 5.0]), &map(&[2.0, 4.0, 0.0]), 2.0, 0.5);
         let colours: Vec<Rgb> = picture.pixels.iter().map(|p| [p[0], p[1], p[2]]).collect();
         assert_eq!(colours, vec![Scale::Spectrum.at(0.0), Scale::Spectrum.at(1.0), UNKNOWN]);
+    }
+
+    #[test]
+    fn inverse_depth_fills_the_scale_up_to_its_95_percent_point() {
+        let mut depth: Vec<f32> = (0..99).map(|i| 100.0 / (100.0 + i as f32)).collect();
+        depth.extend([1e-3, 0.0]);
+        let picture = Picture::from_inverse_depth(&map(&depth), Scale::Turbo);
+        let at = |i: usize| -> Rgb { std::array::from_fn(|k| picture.pixels[i][k]) };
+        let ends = [Scale::Turbo.at(0.0), Scale::Turbo.at(1.0), Scale::Turbo.at(1.0), UNKNOWN];
+        assert_eq!([at(0), at(94), at(99), at(100)], ends);
+        let middle = Scale::Turbo.at(0.5);
+        assert!((0..3).all(|k| at(47)[k].abs_diff(middle[k]) <= 1), "{:?} {middle:?}", at(47));
+        let flat = Picture::from_inverse_depth(&map(&[2.0, 2.0, 0.0]), Scale::Magma);
+        assert_eq!(flat.pixels.len(), 3, "equal depths have a colour, too");
     }
 
     #[test]
