@@ -6,6 +6,7 @@ pub mod config;
 mod counted;
 pub mod data;
 pub mod eval;
+pub mod inference;
 pub mod losses;
 pub mod memory;
 pub mod mirror;

@@ -1,5 +1,6 @@
 //! The command line: one file per command, each parses, calls one function of [`crate::run`], and prints.
 
+mod cost;
 mod eval_depth;
 mod eval_odometry;
 mod failure;
@@ -38,6 +39,7 @@ Examples:
   dimode infer --run runs/train-street-s1 --data DIR --out predictions
   dimode synth --preset handheld --worlds 2 --out worlds
   dimode verify                             every equation of the paper, with a verdict
+  dimode cost                               parameters, multiply-accumulates, time and memory of every network
 
 Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 130 interrupted (train saves first).
 All text about the work goes to standard error, results to standard output.";
@@ -72,6 +74,7 @@ enum Command {
     #[command(subcommand)]
     Pretrain(Pretrain),
     Verify(verify::VerifyArgs),
+    Cost(cost::CostArgs),
 }
 
 #[derive(Debug, Subcommand)]
@@ -119,6 +122,7 @@ fn dispatch(command: Command, typed: &str) -> anyhow::Result<Exit> {
         Command::Pretrain(Pretrain::Flow(args)) => args.run(),
         Command::Pretrain(Pretrain::Pose(args)) => args.run(),
         Command::Verify(args) => args.run(),
+        Command::Cost(args) => args.run(),
     }
 }
 

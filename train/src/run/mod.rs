@@ -1,6 +1,7 @@
 //! What the commands do: one file per task, called by the command line and by tests.
 
 pub mod conclude;
+pub mod cost;
 pub mod eval_depth;
 pub mod eval_motion;
 pub mod eval_odometry;

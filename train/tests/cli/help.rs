@@ -6,7 +6,8 @@ use crate::{command, dimode};
 #[test]
 fn the_top_teaches_the_commands_and_exit_codes() {
     let help = dimode(&["--help"]).succeeded();
-    for word in ["train", "eval", "infer", "synth", "pretrain", "verify", "Examples:", "dimode train --quick", "130 interrupted"]
+    for word in
+        ["train", "eval", "infer", "synth", "pretrain", "verify", "cost", "Examples:", "dimode train --quick", "130 interrupted"]
     {
         assert!(help.contains(word), "'{word}' is not in: {help}");
     }
@@ -24,6 +25,7 @@ fn every_command_has_examples() {
         &["pretrain", "flow"],
         &["pretrain", "pose"],
         &["verify"],
+        &["cost"],
     ] {
         let help = dimode(&[words, &["--help"]].concat()).succeeded();
         assert!(help.contains("Examples:\n"), "{words:?}: {help}");
@@ -47,6 +49,7 @@ fn long_help_explains_the_command() {
         (&["synth"], "The folder can be given to 'dimode train --data'."),
         (&["pretrain", "flow"], "Every step renders new worlds, so no pair is seen twice."),
         (&["pretrain", "pose"], "No true depth or motion of a world is used"),
+        (&["cost"], "Pose and flow networks look at a pair of frames."),
         (&["verify"], "The code is 1 when a verdict does not stand."),
     ] {
         let by_flag = words(&dimode(&[command, &["--help"]].concat()).succeeded());

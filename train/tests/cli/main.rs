@@ -1,6 +1,7 @@
 //! The command line from outside: exit codes, messages, and what is left on the disk.
 
 mod bad_input;
+mod cost;
 mod evaluation;
 mod help;
 mod pretrain;
