@@ -6,11 +6,12 @@
 //! rotation and translation were confused. The reference network looks once.
 
 use dimode_autodiff::ops::bilinear_sample::SamplePadding;
-use dimode_autodiff::{Tape, Tensor, Var};
+use dimode_autodiff::{Pool, Tape, Tensor, Var};
 use dimode_geometry::taped::{self, Pose, RotationForm};
 use dimode_geometry::{Intrinsics, Se3};
 use dimode_nets::{Binder, Mode, ParamSet};
 
+use crate::inference::Buffers;
 use crate::model::Model;
 
 /// Pairs of images `[n, 3, h, w]` whose motion `source_from_target` is asked for.
@@ -75,7 +76,15 @@ impl Model {
     /// # Panics
     /// As [`Model::source_from_target`].
     pub fn motions(&self, pose: &ParamSet<f32>, mode: Mode, pairs: &Pairs<'_>, looks: usize) -> Vec<Se3> {
-        let tape = Tape::new();
+        self.motions_in(&Pool::new(), pose, mode, pairs, looks)
+    }
+
+    /// The same over buffers that stay.
+    ///
+    /// # Panics
+    /// As [`Model::source_from_target`].
+    pub fn motions_in(&self, buffers: &Buffers, pose: &ParamSet<f32>, mode: Mode, pairs: &Pairs<'_>, looks: usize) -> Vec<Se3> {
+        let tape = Tape::with_pool(buffers.clone());
         let mut binder = Binder::selective(&tape, pose, mode, |_| false);
         self.source_from_target(&mut binder, pairs, looks).to_se3()
     }

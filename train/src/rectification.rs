@@ -5,12 +5,13 @@
 //! it, and everything else works on the target and this image. What the pose network says is then `rectified_from_target`, and
 //! the whole motion is the removed rotation after it.
 
-use dimode_autodiff::{Shape, Tape, Tensor, Var};
+use dimode_autodiff::{Pool, Shape, Tape, Tensor, Var};
 use dimode_geometry::taped::so3_exp::rotation_matrix;
 use dimode_geometry::taped::{Pose, RotationForm, derotate};
 use dimode_geometry::{Intrinsics, Se3};
 use dimode_nets::{Binder, Mode, RectifyNet};
 
+use crate::inference::Buffers;
 use crate::losses::rectify::rectify;
 use crate::losses::view_pair::COLOURS;
 use crate::model::{Model, Weights};
@@ -65,9 +66,18 @@ impl Model {
     /// # Panics
     /// As [`Model::motions`].
     pub fn predict_motions(&self, weights: &Weights, pairs: &Pairs<'_>, looks: usize) -> Vec<Se3> {
-        let Some(net) = &self.rectify else { return self.motions(&weights.pose, Mode::Eval, pairs, looks) };
+        self.predict_motions_in(&Pool::new(), weights, pairs, looks)
+    }
+
+    /// The same over buffers that stay.
+    ///
+    /// # Panics
+    /// As [`Model::motions`].
+    pub fn predict_motions_in(&self, buffers: &Buffers, weights: &Weights, pairs: &Pairs<'_>, looks: usize) -> Vec<Se3> {
+        let said = |pairs: &Pairs<'_>| self.motions_in(buffers, &weights.pose, Mode::Eval, pairs, looks);
+        let Some(net) = &self.rectify else { return said(pairs) };
         let (source, rotations) = without_rotation(net, weights, pairs);
-        let motions = self.motions(&weights.pose, Mode::Eval, &Pairs { source: &source, ..*pairs }, looks);
+        let motions = said(&Pairs { source: &source, ..*pairs });
         rotations.iter().zip(motions).map(|(rotation, motion)| *rotation * motion).collect()
     }
 }

@@ -14,6 +14,7 @@ use crate::pretrain::TargetError;
 use crate::report::ReportError;
 use crate::run::RunError;
 use crate::run::first_weights::FirstWeightsError;
+use crate::run::infer::InferError;
 use crate::run::verify::UnknownClaim;
 
 /// How the process ends.
@@ -81,6 +82,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
             || cause.is::<UsageError>()
             || cause.is::<UnknownClaim>()
             || cause.is::<TargetError>()
+            || cause.downcast_ref().is_some_and(InferError::is_usage)
             || cause.downcast_ref().is_some_and(is_usage_of_data)
             || matches!(cause.downcast_ref(), Some(EvalError::Option { .. }))
     })
@@ -116,6 +118,7 @@ fn has_advice(cause: &(dyn std::error::Error + 'static)) -> bool {
         || cause.is::<CheckpointError>()
         || cause.is::<RunError>()
         || cause.is::<FirstWeightsError>()
+        || cause.is::<InferError>()
         || cause.is::<UsageError>()
         || cause.is::<UnknownClaim>()
         || cause.is::<TargetError>()

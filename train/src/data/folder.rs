@@ -13,6 +13,8 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use dimode_geometry::Intrinsics;
+
 use super::DataError;
 use super::file_dataset::{FileDataset, FileSequence, check_count, choose, common_size, image_files, last_part, sorted_entries};
 use super::intrinsics_file::{EXAMPLE, IntrinsicsFile};
@@ -23,12 +25,11 @@ use super::times::read_times;
 /// Opens a folder of frames, or a folder of such folders, and checks all of it but the pixels.
 ///
 /// **Errors** name the file: no frames, fewer than asked for, two of one name, different sizes, truncated files; a missing intrinsics file (with
-/// an example of one), its faults, intrinsics of another shape; faults of the poses and times and counts that differ.
+/// an example of one) where the camera is needed, its faults, intrinsics of another shape; faults of the poses and times and counts that differ.
 pub fn open_folder(root: &Path, options: &LoadOptions) -> Result<FileDataset, DataError> {
     options.check()?;
     let folders = sequence_folders(root, &options.sequences)?;
-    let sequences =
-        folders.iter().map(|folder| open_sequence(root, folder, options.min_frames)).collect::<Result<Vec<_>, _>>()?;
+    let sequences = folders.iter().map(|folder| open_sequence(root, folder, options)).collect::<Result<Vec<_>, _>>()?;
     Ok(FileDataset::new(last_part(root), sequences, options))
 }
 
@@ -70,13 +71,15 @@ fn sequence_folders(root: &Path, wanted: &[String]) -> Result<Vec<PathBuf>, Data
     choose(root, all, wanted, |folder, name| folder == name)
 }
 
-fn open_sequence(root: &Path, folder: &Path, min_frames: usize) -> Result<FileSequence, DataError> {
+fn open_sequence(root: &Path, folder: &Path, options: &LoadOptions) -> Result<FileSequence, DataError> {
     let images = frames_folder(folder)?.unwrap_or_else(|| folder.to_owned());
     let files = image_files(&images)?;
     check_names(&files)?;
-    let (width, height) = common_size(&images, &files, min_frames)?;
-    let camera_file = intrinsics_path(root, folder)?;
-    let intrinsics = IntrinsicsFile::read(&camera_file)?.camera(&camera_file, width, height)?;
+    let (width, height) = common_size(&images, &files, options.min_frames)?;
+    let intrinsics = match intrinsics_path(root, folder) {
+        Err(_) if !options.needs_camera => stand_in(width, height),
+        path => path.and_then(|path| IntrinsicsFile::read(&path)?.camera(&path, width, height))?,
+    };
     let pose_file = folder.join("poses.txt");
     let poses = if pose_file.exists() { Some(read_poses(&pose_file)?) } else { None };
     if let Some(poses) = &poses {
@@ -89,6 +92,13 @@ fn open_sequence(root: &Path, folder: &Path, min_frames: usize) -> Result<FileSe
     }
     let depth = vec![None; files.len()];
     Ok(FileSequence { name: last_part(folder), files, intrinsics, poses, times, depth })
+}
+
+/// A camera that looks at 53 degrees of width, for frames that come without one.
+fn stand_in(width: usize, height: usize) -> Intrinsics {
+    let (columns, rows) = (width as f64, height as f64);
+    let camera = Intrinsics::new(columns, columns, 0.5 * (columns - 1.0), 0.5 * (rows - 1.0), width, height);
+    camera.expect("sides of pictures are positive")
 }
 
 /// **Errors** when two files differ in their extension only: what is written for a frame goes by its name without it.
@@ -137,6 +147,24 @@ mod tests {
 
     fn message(folder: &tempfile::TempDir) -> String {
         open_folder(folder.path(), &LoadOptions::default()).err().expect("must be refused").to_string()
+    }
+
+    #[test]
+    fn frames_without_a_camera_are_opened_where_none_is_needed() {
+        let folder = tempfile::tempdir().unwrap();
+        put_frames(folder.path(), 3);
+        assert!(open_folder(folder.path(), &LoadOptions::default()).is_err());
+        let options = LoadOptions { needs_camera: false, ..LoadOptions::default() };
+        let camera = open_folder(folder.path(), &options).unwrap().frame(0, 0).unwrap().intrinsics;
+        assert_eq!([camera.fu, camera.fv, camera.u0, camera.v0], [24.0, 24.0, 11.5, 5.5]);
+        fs::write(folder.path().join("intrinsics.txt"), CAMERA).unwrap();
+        assert_eq!(
+            open_folder(folder.path(), &options).unwrap().frame(0, 0).unwrap().intrinsics.fu,
+            20.0,
+            "one that is there counts"
+        );
+        fs::write(folder.path().join("intrinsics.txt"), "0 0 0 0").unwrap();
+        assert!(open_folder(folder.path(), &options).is_err(), "and its faults are told");
     }
 
     #[test]

@@ -55,13 +55,24 @@ pub struct LoadOptions {
     pub center_crop: bool,
     /// Frames that every sequence must have: 3 to train, 1 to look at depth.
     pub min_frames: usize,
+    /// Whether a folder of frames must tell its camera. Where it need not and does not, one of the frames' width as focal length
+    /// stands in, for what looks at pictures alone.
+    pub needs_camera: bool,
     /// Bytes of decoded frames that are kept in memory.
     pub cache_bytes: usize,
 }
 
 impl Default for LoadOptions {
     fn default() -> Self {
-        Self { sequences: Vec::new(), camera: None, size: None, center_crop: false, min_frames: 3, cache_bytes: 256 << 20 }
+        Self {
+            sequences: Vec::new(),
+            camera: None,
+            size: None,
+            center_crop: false,
+            min_frames: 3,
+            needs_camera: true,
+            cache_bytes: 256 << 20,
+        }
     }
 }
 

@@ -4,6 +4,7 @@ mod bad_input;
 mod cost;
 mod evaluation;
 mod help;
+mod infer;
 mod pretrain;
 mod settings;
 mod synth;

@@ -129,7 +129,9 @@ fn a_run_leaves_report_metrics_log_and_can_be_used() {
     assert_eq!(summary[0]["frames"], 4);
     let sequence = out.join(summary[0]["name"].as_str().unwrap());
     assert_eq!(fs::read_dir(sequence.join("depth")).unwrap().count(), 4);
-    assert_eq!(fs::read_dir(sequence.join("depth_colour")).unwrap().count(), 4);
+    assert_eq!(fs::read_dir(sequence.join("depth_magma")).unwrap().count(), 4);
+    assert!(!sequence.join("flow").exists(), "flow is written on request");
+    assert!(summary[0]["speed"]["depth"].as_f64().unwrap() > 0.0 && summary[0]["speed"]["flow"].is_null());
     let trajectory = fs::read_to_string(sequence.join("trajectory.kitti.txt")).unwrap();
     assert_eq!(trajectory.lines().count(), 4);
 
