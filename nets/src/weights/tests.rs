@@ -1,7 +1,14 @@
 //! Tests of reading and writing weights.
 
+use std::fs;
+use std::path::PathBuf;
+
+use ::safetensors::tensor::{Dtype, TensorView};
+use dimode_autodiff::{Scalar, Tensor};
+
 use super::*;
-use crate::{Blueprint, Init, Kind};
+use crate::params::shape_of;
+use crate::{Blueprint, Init, Kind, ParamSet, Params};
 
 fn blueprint() -> Blueprint {
     let mut b = Blueprint::new();
@@ -48,15 +55,21 @@ fn all_differences_are_kept_and_nothing_changes() {
     let before = params.get("conv.weight").unwrap().tensor().to_vec();
     let stored = |name: &str, dims: &[usize]| StoredTensor {
         name: name.to_owned(),
+        element: ElementType::F32,
         dims: dims.to_vec(),
         values: vec![0.0; dims.iter().product()],
     };
     let given = vec![stored("conv.weight", &[4, 3, 3, 3]), stored("fc.weight", &[4, 5]), stored("surplus", &[1])];
     let error = assign(&mut params, given, "test.safetensors").unwrap_err();
     let text = error.to_string();
-    let WeightError::Mismatch { missing, extra, misshapen, .. } = error else {
+    let WeightError::Mismatch { differences, .. } = error else {
         panic!("wrong kind: {text}");
     };
+    assert_eq!(
+        differences.list(),
+        "missing: bn.running_mean\nnot known: surplus\nof another size: fc.weight [4, 5] instead of [5, 4]\n"
+    );
+    let Differences { missing, extra, misshapen } = differences;
     assert_eq!(missing, ["bn.running_mean"]);
     assert_eq!(extra, ["surplus"]);
     assert_eq!(misshapen[0].expected, [5, 4]);
@@ -72,7 +85,8 @@ fn a_message_counts_the_differences_and_names_the_first_three() {
     let names = |count: usize| -> Vec<String> { (0..count).map(|i| format!("w{i}")).collect() };
     let wrong = |name| Misshapen { name, expected: vec![2], found: vec![3] };
     let misshapen = names(1).into_iter().map(wrong).collect();
-    let error = WeightError::Mismatch { origin: "a file".into(), missing: names(120), extra: names(3), misshapen };
+    let differences = Differences { missing: names(120), extra: names(3), misshapen };
+    let error = WeightError::Mismatch { origin: "a file".into(), differences };
     let expected = "a file does not fit the network, tensors: 120 missing (w0, w1, w2, ...), 3 not known (w0, w1, w2), \
                     1 of another size (w0 [3] instead of [2])";
     assert_eq!(error.to_string(), expected);
@@ -103,7 +117,7 @@ fn wrapper_prefix_and_counters_are_accepted() {
         ("module.scale", TensorView::new(Dtype::F32, vec![1], &value).unwrap()),
         ("module.bn.num_batches_tracked", TensorView::new(Dtype::I64, vec![], &one).unwrap()),
     ];
-    let bytes = safetensors::serialize(views, None).unwrap();
+    let bytes = ::safetensors::serialize(views, None).unwrap();
     let mut params = Params::<f64>::new();
     let zero = Tensor::zeros(shape_of(&[1]));
     params.insert("scale", crate::Entry::new(vec![1], Kind::Parameter, zero));
@@ -114,10 +128,19 @@ fn wrapper_prefix_and_counters_are_accepted() {
 #[test]
 fn other_element_types_are_refused_by_name() {
     let one = 1i64.to_le_bytes();
-    let view = TensorView::new(Dtype::I64, vec![1], &one).unwrap();
-    let bytes = safetensors::serialize(vec![("count", view)], None).unwrap();
-    let text = parse(&bytes, "memory").unwrap_err().to_string();
-    assert!(text.contains("'count'") && text.contains("I64"), "{text}");
+    let stored = |dtype| {
+        let view = TensorView::new(dtype, vec![1], &one).unwrap();
+        ::safetensors::serialize(vec![("count", view)], None).unwrap()
+    };
+    let text = parse(&stored(Dtype::U64), "memory").unwrap_err().to_string();
+    assert!(text.contains("'count'") && text.contains("U64"), "{text}");
+    // Whole numbers are read, for they may stand beside weights, but they are not weights.
+    let tensors = parse(&stored(Dtype::I64), "memory").unwrap();
+    assert_eq!((tensors[0].element, tensors[0].values.as_slice()), (ElementType::I64, &[1.0][..]));
+    let mut params = Params::<f64>::new();
+    params.insert("count", crate::Entry::new(vec![1], Kind::Parameter, Tensor::zeros(shape_of(&[1]))));
+    let text = assign(&mut params, tensors, "memory").unwrap_err().to_string();
+    assert_eq!(text, "memory: 'count' is stored as I64, which holds no weights; convert it to F32 or F64");
 }
 
 #[test]
@@ -130,6 +153,33 @@ fn damaged_files_are_errors() {
 }
 
 #[test]
+fn partial_loading_takes_what_fits_and_tells_the_rest() {
+    let mut params = blueprint().init::<f64>(1).file("net").unwrap().clone();
+    let before = params.clone();
+    let stored = |name: &str, dims: &[usize], value: f64| StoredTensor {
+        name: name.to_owned(),
+        element: ElementType::F32,
+        dims: dims.to_vec(),
+        values: vec![value; dims.iter().product()],
+    };
+    let misfits = || vec![stored("fc.weight", &[4, 5], 0.5), stored("surplus", &[1], f64::NAN)];
+    let given = [misfits(), vec![stored("module.conv.weight", &[4, 3, 3, 3], 0.5)]].concat();
+    let skipped = assign_partial(&mut params, given, "file").unwrap();
+    assert_eq!((skipped.missing, skipped.extra), (vec!["bn.running_mean".to_owned()], vec!["surplus".to_owned()]));
+    assert_eq!(skipped.misshapen.len(), 1);
+    let of = |params: &Params<f64>, name: &str| params.get(name).unwrap().tensor().to_vec();
+    assert_eq!(of(&params, "conv.weight"), [0.5; 108]);
+    for name in ["fc.weight", "bn.running_mean"] {
+        assert_eq!(of(&params, name), of(&before, name));
+    }
+    let now = params.clone();
+    assert!(matches!(assign_partial(&mut params, misfits(), "file"), Err(WeightError::Mismatch { .. })));
+    let broken = vec![stored("conv.weight", &[4, 3, 3, 3], f64::NAN), stored("bn.running_mean", &[4], 1.0)];
+    assert!(matches!(assign_partial(&mut params, broken, "file"), Err(WeightError::NonFinite { .. })));
+    assert!(now.names().all(|name| of(&params, name) == of(&now, name)));
+}
+
+#[test]
 fn a_norm_that_is_registered_twice_is_found_under_either_name() {
     let mut blueprint = Blueprint::new();
     for name in ["layer2.0.norm3.weight", "layer2.0.downsample.0.bias", "res.0.downsample.1.weight"] {
@@ -137,7 +187,12 @@ fn a_norm_that_is_registered_twice_is_found_under_either_name() {
     }
     let assigned = |stored: &[(&str, f64)]| {
         let mut params = blueprint.init::<f64>(1).file("net").unwrap().clone();
-        let tensor = |&(name, value): &(&str, f64)| StoredTensor { name: name.into(), dims: vec![1], values: vec![value] };
+        let tensor = |&(name, value): &(&str, f64)| StoredTensor {
+            name: name.into(),
+            element: ElementType::F32,
+            dims: vec![1],
+            values: vec![value],
+        };
         assign(&mut params, stored.iter().map(tensor).collect(), "memory")?;
         Ok(params.iter().map(|(_, e)| e.tensor().item()).collect::<Vec<_>>())
     };
