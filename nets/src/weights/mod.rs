@@ -3,7 +3,7 @@
 //! [`open`] tells the two forms apart by content and reads every tensor of the state dict. Nothing in a file is executed: a
 //! PyTorch file is a pickle, a program for a small machine, and the one here knows tensors, dictionaries and plain values only.
 //! [`assign`] then gives the values to a network whose names and dimensions they must have, all or nothing; [`assign_partial`]
-//! takes what fits and says what it left.
+//! takes what fits and says what it left. [`dialects`] tells names that other programs use for the same networks.
 
 mod assign;
 mod difference;
@@ -13,6 +13,8 @@ mod names;
 mod pth;
 mod safetensors;
 mod stored;
+
+pub mod dialects;
 
 pub use assign::{assign, assign_partial, differences};
 pub use difference::{Difference, difference};
