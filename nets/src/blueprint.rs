@@ -77,6 +77,24 @@ impl Blueprint {
         &self.declarations
     }
 
+    /// Names of the checkpoint files in order.
+    pub fn files(&self) -> Vec<&str> {
+        let mut files = Vec::new();
+        for declaration in &self.declarations {
+            let (file, _) = split_path(&declaration.path);
+            if !files.contains(&file) {
+                files.push(file);
+            }
+        }
+        files
+    }
+
+    /// Names and dimensions in one checkpoint file, in order.
+    pub fn file(&self, file: &str) -> impl Iterator<Item = (&str, &[usize])> {
+        let paths = self.declarations.iter().map(|d| (split_path(&d.path), d.dims.as_slice()));
+        paths.filter(move |((own, _), _)| *own == file).map(|((_, name), dims)| (name, dims))
+    }
+
     /// Number of scalars in parameters, trained and frozen.
     pub fn parameter_count(&self) -> usize {
         self.declarations.iter().filter(|d| d.kind != Kind::Buffer).map(|d| d.dims.iter().product::<usize>()).sum()
@@ -139,6 +157,8 @@ mod tests {
         let set = blueprint.init::<f64>(1);
         let paths: Vec<String> = set.iter().map(|(path, _)| path).collect();
         assert_eq!(paths, ["b:z", "b:a", "a:m"]);
+        assert_eq!(blueprint.files(), ["b", "a"]);
+        assert_eq!(blueprint.file("b").collect::<Vec<_>>(), [("z", &[2, 3][..]), ("a", &[4])]);
         assert_eq!(set.get("b:a").unwrap().tensor().data(), &[2.0; 4]);
     }
 

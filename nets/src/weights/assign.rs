@@ -1,10 +1,10 @@
 //! From tensors of a file to the parameters of a network.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use dimode_autodiff::{Scalar, Tensor};
 
-use super::names::{by_plain_name, resolve_aliases};
+use super::names::{by_plain_name, plain_name, resolve_aliases};
 use super::{Differences, Misshapen, StoredTensor, WeightError};
 use crate::Params;
 use crate::params::shape_of;
@@ -45,12 +45,16 @@ pub fn assign_partial<T: Scalar>(
     Ok(differences)
 }
 
-/// What keeps tensors with these names and dimensions from being `params`.
-pub fn differences<'a, T: Scalar>(params: &Params<T>, tensors: impl IntoIterator<Item = (&'a str, &'a [usize])>) -> Differences {
-    let mut given: BTreeMap<String, &[usize]> =
-        tensors.into_iter().map(|(name, dims)| (super::plain_name(name).to_owned(), dims)).collect();
-    resolve_aliases(params, &mut given);
-    compare(params, &given)
+/// What keeps tensors from being those that a file of a network holds, both as names with dimensions.
+pub fn differences<'a>(
+    expected: impl IntoIterator<Item = (&'a str, &'a [usize])>,
+    tensors: impl IntoIterator<Item = (&'a str, &'a [usize])>,
+) -> Differences {
+    let expected: Vec<(&str, &[usize])> = expected.into_iter().collect();
+    let names: BTreeSet<&str> = expected.iter().map(|(name, _)| *name).collect();
+    let mut given = tensors.into_iter().map(|(name, dims)| (plain_name(name).to_owned(), dims)).collect();
+    resolve_aliases(|name| names.contains(name), &mut given);
+    compare(expected.into_iter(), &given)
 }
 
 /// The tensors that fit, by name, and all that does not.
@@ -60,26 +64,28 @@ fn matched<T: Scalar>(
     origin: &str,
 ) -> Result<(BTreeMap<String, StoredTensor>, Differences), WeightError> {
     let mut given = by_plain_name(tensors, origin)?;
-    resolve_aliases(params, &mut given);
+    resolve_aliases(|name| params.get(name).is_some(), &mut given);
     let dims: BTreeMap<String, &[usize]> = given.iter().map(|(name, tensor)| (name.clone(), tensor.dims.as_slice())).collect();
-    let differences = compare(params, &dims);
+    let differences = compare(params.iter().map(|(name, entry)| (name, entry.dims())), &dims);
     given.retain(|name, tensor| params.get(name).is_some_and(|entry| entry.dims() == tensor.dims));
     Ok((given, differences))
 }
 
-fn compare<T: Scalar>(params: &Params<T>, given: &BTreeMap<String, &[usize]>) -> Differences {
+fn compare<'a>(expected: impl Iterator<Item = (&'a str, &'a [usize])>, given: &BTreeMap<String, &[usize]>) -> Differences {
     let mut differences = Differences::default();
-    for (name, entry) in params.iter() {
+    let mut extra: BTreeSet<&str> = given.keys().map(String::as_str).collect();
+    for (name, dims) in expected {
+        extra.remove(name);
         match given.get(name) {
             None => differences.missing.push(name.to_owned()),
-            Some(&found) if found != entry.dims() => {
-                let (expected, found) = (entry.dims().to_vec(), found.to_vec());
+            Some(&found) if found != dims => {
+                let (expected, found) = (dims.to_vec(), found.to_vec());
                 differences.misshapen.push(Misshapen { name: name.to_owned(), expected, found });
             }
             Some(_) => {}
         }
     }
-    differences.extra = given.keys().filter(|name| params.get(name).is_none()).cloned().collect();
+    differences.extra = extra.into_iter().map(str::to_owned).collect();
     differences
 }
 

@@ -9,7 +9,7 @@ use super::{StoredTensor, WeightError, WeightFile, assign, pth, safetensors};
 use crate::{ParamSet, Params, replace_file};
 
 /// Endings of files of weights, in the order in which a folder is searched.
-const ENDINGS: [&str; 3] = ["safetensors", "pth", "pt"];
+pub const ENDINGS: [&str; 3] = ["safetensors", "pth", "pt"];
 
 /// Reads a file of weights, whichever form it has; its name does not matter.
 ///

@@ -19,8 +19,8 @@ pub mod dialects;
 pub use assign::{assign, assign_partial, differences};
 pub use difference::{Difference, difference};
 pub use error::{Differences, Misshapen, WeightError};
-pub use files::{load, load_directory, open, parse, parse_file, read, save, save_directory, to_bytes};
-pub use names::{by_plain_name, plain_name};
+pub use files::{ENDINGS, load, load_directory, open, parse, parse_file, read, save, save_directory, to_bytes};
+pub use names::{by_plain_name, plain_name, resolve_aliases};
 pub use pth::PthError;
 pub use stored::{ElementType, Form, Ignored, StoredTensor, WeightFile};
 

@@ -2,11 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use dimode_autodiff::Scalar;
-
 use super::{StoredTensor, WeightError};
-use crate::Params;
-
 /// Suffix of a counter that the reference modules store and nothing here uses.
 const COUNTER: &str = "num_batches_tracked";
 
@@ -48,14 +44,14 @@ pub fn by_plain_name(tensors: Vec<StoredTensor>, origin: &str) -> Result<BTreeMa
     Ok(by_name)
 }
 
-/// Renames what is stored under a second name of a tensor of `params`, or drops it when the first name is there, too.
+/// Renames what is stored under a second name of a tensor that is known, or drops it when the first name is there, too.
 ///
-/// A name that the network itself has stays: in ResNets `downsample.1` is a norm of its own.
-pub(super) fn resolve_aliases<T: Scalar, V>(params: &Params<T>, given: &mut BTreeMap<String, V>) {
-    let unknown: Vec<String> = given.keys().filter(|name| params.get(name).is_none()).cloned().collect();
+/// A name that is known itself stays: in ResNets `downsample.1` is a norm of its own.
+pub fn resolve_aliases<V>(known: impl Fn(&str) -> bool, given: &mut BTreeMap<String, V>) {
+    let unknown: Vec<String> = given.keys().filter(|name| !known(name)).cloned().collect();
     for alias in unknown {
         let mut first = ALIASES.iter().map(|&(second, first)| alias.replace(second, first));
-        let first = first.find(|name| *name != alias && params.get(name).is_some());
+        let first = first.find(|name| *name != alias && known(name));
         if let Some(first) = first
             && let Some(value) = given.remove(&alias)
         {

@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 use std::process::ExitCode;
 
+use dimode_nets::WeightError;
 use thiserror::Error;
 
 use crate::checkpoint::CheckpointError;
@@ -16,6 +17,7 @@ use crate::run::RunError;
 use crate::run::first_weights::FirstWeightsError;
 use crate::run::infer::InferError;
 use crate::run::verify::UnknownClaim;
+use crate::run::weights::ConvertError;
 
 /// How the process ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,6 +85,7 @@ fn is_usage(error: &anyhow::Error) -> bool {
             || cause.is::<UnknownClaim>()
             || cause.is::<TargetError>()
             || cause.downcast_ref().is_some_and(InferError::is_usage)
+            || cause.downcast_ref().is_some_and(ConvertError::is_usage)
             || cause.downcast_ref().is_some_and(is_usage_of_data)
             || matches!(cause.downcast_ref(), Some(EvalError::Option { .. }))
     })
@@ -125,6 +128,8 @@ fn has_advice(cause: &(dyn std::error::Error + 'static)) -> bool {
         || cause.is::<EvalError>()
         || cause.is::<ReportError>()
         || cause.is::<NonFinite>()
+        || cause.is::<ConvertError>()
+        || cause.is::<WeightError>()
 }
 
 fn one_line(text: &str) -> String {

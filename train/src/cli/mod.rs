@@ -14,6 +14,7 @@ mod pretrain_pose;
 mod synth;
 mod train;
 mod verify;
+mod weights;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -40,6 +41,7 @@ Examples:
   dimode synth --preset handheld --worlds 2 --out worlds
   dimode verify                             every equation of the paper, with a verdict
   dimode cost                               parameters, multiply-accumulates, time and memory of every network
+  dimode weights inspect encoder.pth        trained weights of others: what they are
 
 Exit codes: 0 done, 1 failed, 2 wrong usage or configuration, 130 interrupted (train saves first).
 All text about the work goes to standard error, results to standard output.";
@@ -75,6 +77,9 @@ enum Command {
     Pretrain(Pretrain),
     Verify(verify::VerifyArgs),
     Cost(cost::CostArgs),
+    /// Look at, convert and compare files of weights
+    #[command(subcommand)]
+    Weights(weights::Weights),
 }
 
 #[derive(Debug, Subcommand)]
@@ -123,6 +128,7 @@ fn dispatch(command: Command, typed: &str) -> anyhow::Result<Exit> {
         Command::Pretrain(Pretrain::Pose(args)) => args.run(),
         Command::Verify(args) => args.run(),
         Command::Cost(args) => args.run(),
+        Command::Weights(command) => command.run(),
     }
 }
 

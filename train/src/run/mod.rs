@@ -13,6 +13,7 @@ pub mod synth;
 pub mod train;
 pub mod trained;
 pub mod verify;
+pub mod weights;
 
 use std::path::{Path, PathBuf};
 

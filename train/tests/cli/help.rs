@@ -26,6 +26,9 @@ fn every_command_has_examples() {
         &["pretrain", "pose"],
         &["verify"],
         &["cost"],
+        &["weights", "inspect"],
+        &["weights", "convert"],
+        &["weights", "diff"],
     ] {
         let help = dimode(&[words, &["--help"]].concat()).succeeded();
         assert!(help.contains("Examples:\n"), "{words:?}: {help}");
@@ -51,6 +54,9 @@ fn long_help_explains_the_command() {
         (&["pretrain", "pose"], "No true depth or motion of a world is used"),
         (&["cost"], "Pose and flow networks look at a pair of frames."),
         (&["verify"], "The code is 1 when a verdict does not stand."),
+        (&["weights", "inspect"], "Nothing in a file is ever executed"),
+        (&["weights", "convert"], "otherwise all differences are listed and nothing is written."),
+        (&["weights", "diff"], "The code is 0 when they are equal within the tolerance and 1 when not."),
     ] {
         let by_flag = words(&dimode(&[command, &["--help"]].concat()).succeeded());
         assert!(by_flag.contains(sentence), "{command:?}: {by_flag}");

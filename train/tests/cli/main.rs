@@ -10,6 +10,7 @@ mod settings;
 mod synth;
 mod training;
 mod verify;
+mod weights;
 
 use std::fs;
 use std::path::Path;

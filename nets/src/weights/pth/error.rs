@@ -11,7 +11,7 @@ pub enum PthError {
     /// It was written by `torch.save` of PyTorch 1.5 or older, or on request in that form.
     #[error(
         "is in the form of PyTorch 1.5 and older, which is not read; in Python: \
-         s = torch.load('OLD.pth', map_location='cpu', weights_only=True); torch.save(s, 'NEW.pth')"
+         torch.save(torch.load('OLD.pth', map_location='cpu', weights_only=True), 'NEW.pth')"
     )]
     Old,
     /// It is a pickle, but not one in a zip file.

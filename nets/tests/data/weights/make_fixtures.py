@@ -91,6 +91,18 @@ def types():
     return state
 
 
+def lite_mono_decoder():
+    """The decoder of the nano Lite-Mono in half precision, as saved from several devices; values repeat after 16."""
+    sides = {f"{n}.conv.conv": side for n, side in enumerate([(16, 32), (16, 40), (12, 16), (12, 28), (8, 12), (8, 8)])}
+    sides |= {f"{6 + scale}.conv": (1, width) for scale, width in enumerate([8, 12, 16])}
+    state = OrderedDict()
+    for name, (outputs, inputs) in sides.items():
+        for kind, shape in ("weight", (outputs, inputs, 3, 3)), ("bias", (outputs,)):
+            values = torch.arange(torch.Size(shape).numel()) % 16 / 8 - 1
+            state[f"module.decoder.{name}.{kind}"] = values.reshape(shape).half()
+    return state
+
+
 def main():
     torch.save(state(), "plain.pth")
     torch.save(net().state_dict(), "ordered.pth")
@@ -99,6 +111,7 @@ def main():
     torch.save(state() | {"height": 192, "width": 640, "use_stereo": False}, "with_sizes.pth")
     torch.save(types(), "types.pth")
     torch.save(views(), "views.pth")
+    torch.save(lite_mono_decoder(), "nano_lite_mono_depth.pth")
     torch.save({"weight": nn.Parameter(ramp(3))}, "parameter.pth")
     torch.save(OrderedDict(state()), "protocol_4.pth", pickle_protocol=4)
     torch.save(state(), "legacy.pth", _use_new_zipfile_serialization=False)

@@ -1,0 +1,11 @@
+//! Files of weights: what is in them, which network they fit, how far two of them are apart.
+
+mod convert;
+mod diff;
+mod inspect;
+#[cfg(test)]
+mod tests;
+
+pub use convert::{Conversion, ConvertError, ConvertRequest, ConvertedFile, FileMisfit, Input, convert};
+pub use diff::{Comparison, DiffRequest, TensorDifference, diff};
+pub use inspect::{Fit, Inspection, TensorSummary, inspect};
