@@ -170,7 +170,7 @@ struct Subject<'a> {
 enum Net {
     Depth(DepthNet),
     Pose(PoseNet),
-    Flow(FlowNet),
+    Flow(Box<FlowNet>),
 }
 
 impl<'a> Subject<'a> {
@@ -183,7 +183,7 @@ impl<'a> Subject<'a> {
             NetKind::Flow(kind) => {
                 let config = kind.config();
                 let iterations = request.iterations.unwrap_or(config.iterations);
-                (Net::Flow(FlowNet::new(config)), Some(iterations))
+                (Net::Flow(Box::new(FlowNet::new(config))), Some(iterations))
             }
         };
         let image = |name: &str| {
