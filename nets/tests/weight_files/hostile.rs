@@ -223,6 +223,12 @@ fn depth_and_number_of_values_are_bounded() {
     refused(deep, "a list of 1");
     let many = [&b"\x80\x02"[..], &b"]".repeat((1 << 20) + 1), b"."].concat();
     refused(many, "number of values in its pickle over the limit of 1048576");
+    let open = [&b"\x80\x02"[..], &b"(".repeat(1025), b"."].concat();
+    refused(open, "number of open containers in its pickle over the limit of 1024");
+    let kept = [&b"\x80\x04]"[..], &[0x94].repeat((1 << 20) + 1), b"."].concat();
+    refused(kept, "number of values kept in its pickle over the limit");
+    let stacked = [&b"\x80\x02]q\0"[..], &b"h\0".repeat(1 << 20), b"."].concat();
+    refused(stacked, "number of values on the stack of its pickle over the limit");
     let long = [&b"\x80\x02"[..], &vec![b'0'; 17 << 20], b"."].concat();
     refused(long, "pickle in bytes over the limit");
 }

@@ -6,9 +6,19 @@ use crate::{command, dimode};
 #[test]
 fn the_top_teaches_the_commands_and_exit_codes() {
     let help = dimode(&["--help"]).succeeded();
-    for word in
-        ["train", "eval", "infer", "synth", "pretrain", "verify", "cost", "Examples:", "dimode train --quick", "130 interrupted"]
-    {
+    for word in [
+        "train",
+        "eval",
+        "infer",
+        "synth",
+        "pretrain",
+        "verify",
+        "cost",
+        "weights",
+        "Examples:",
+        "dimode train --quick",
+        "130 interrupted",
+    ] {
         assert!(help.contains(word), "'{word}' is not in: {help}");
     }
     assert!(dimode(&["--version"]).succeeded().starts_with("dimode "));

@@ -13,6 +13,8 @@ use super::value::{Id, Pickled, StorageRef, TensorRef, Value};
 
 /// Most values that a pickle may make; a network of two thousand tensors with the states of its optimiser makes about 150,000.
 const MOST_VALUES: usize = 1 << 20;
+/// Most containers that may be open at once; those of checkpoints are ten deep.
+const MOST_MARKS: usize = 1 << 10;
 /// Most axes of a tensor.
 const MOST_AXES: usize = 16;
 /// Highest protocol of pickles.
@@ -115,6 +117,7 @@ impl<'a> Machine<'a> {
     fn container(&mut self, code: u8) -> Result<(), PthError> {
         let value = match code {
             b'(' => {
+                limited(self.marks.len(), "number of open containers in its pickle", MOST_MARKS)?;
                 self.marks.push(self.stack.len());
                 return Ok(());
             }
@@ -170,9 +173,11 @@ impl<'a> Machine<'a> {
         };
         if matches!(code, b'h' | b'j') {
             let id = *self.memo.get(&key).ok_or_else(|| self.damaged("a value that was not kept"))?;
+            limited(self.stack.len(), "number of values on the stack of its pickle", MOST_VALUES)?;
             self.stack.push(id);
             return Ok(());
         }
+        limited(self.memo.len(), "number of values kept in its pickle", MOST_VALUES)?;
         let id = *self.stack.last().ok_or_else(|| self.damaged("nothing to keep"))?;
         self.memo.insert(key, id);
         Ok(())
@@ -295,9 +300,7 @@ impl<'a> Machine<'a> {
     }
 
     fn push(&mut self, value: Value) -> Result<(), PthError> {
-        if self.values.len() >= MOST_VALUES {
-            return Err(PthError::TooLarge { what: "number of values in its pickle", limit: MOST_VALUES });
-        }
+        limited(self.values.len(), "number of values in its pickle", MOST_VALUES)?;
         self.stack.push(self.values.len());
         self.values.push(value);
         Ok(())
@@ -337,6 +340,11 @@ impl<'a> Machine<'a> {
     fn damaged(&self, what: &'static str) -> PthError {
         PthError::Damaged { what, at: self.at }
     }
+}
+
+/// Refuses one more than `limit`.
+fn limited(count: usize, what: &'static str, limit: usize) -> Result<(), PthError> {
+    if count < limit { Ok(()) } else { Err(PthError::TooLarge { what, limit }) }
 }
 
 /// A number in two's complement, least significant byte first; none is zero.

@@ -2,10 +2,12 @@
 
 mod convert;
 mod diff;
+mod error;
 mod inspect;
 #[cfg(test)]
 mod tests;
 
-pub use convert::{Conversion, ConvertError, ConvertRequest, ConvertedFile, FileMisfit, Input, convert};
+pub use convert::{Conversion, ConvertRequest, ConvertedFile, Input, convert};
 pub use diff::{Comparison, DiffRequest, TensorDifference, diff};
+pub use error::{ConvertError, FileMisfit};
 pub use inspect::{Fit, Inspection, TensorSummary, inspect};
