@@ -115,6 +115,9 @@ fn tensors_that_claim_more_than_their_storage_holds_are_refused() {
         let pickle = Pickle::dictionary().tensor("a", ("0", 3), offset, dims, strides).end();
         refused(pickle, "'a' of dimensions");
     }
+    // Nothing is held by an empty tensor, however long its other sides are.
+    let empty = Pickle::dictionary().tensor("a", ("0", 3), 0, &[0, huge, huge], &[huge, huge, 1]).end();
+    assert!(weights::parse_file(&archive(empty).bytes(), "file").unwrap().tensors[0].values.is_empty());
     let described =
         |offset, dims: &[i64], strides: &[i64]| Pickle::dictionary().tensor("a", ("0", 3), offset, dims, strides).end();
     for pickle in [described(-1, &[1], &[1]), described(0, &[-3], &[1]), described(0, &[3], &[-1]), described(0, &[3], &[1, 1])] {

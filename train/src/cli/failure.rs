@@ -17,7 +17,7 @@ use crate::run::RunError;
 use crate::run::first_weights::FirstWeightsError;
 use crate::run::infer::InferError;
 use crate::run::verify::UnknownClaim;
-use crate::run::weights::ConvertError;
+use crate::run::weights::{ConvertError, FileMisfit};
 
 /// How the process ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +67,7 @@ pub fn tell(error: &anyhow::Error) -> Exit {
         return Exit::Done;
     }
     // Standard error may be closed, too; the exit code is all that is left then.
-    let _ = writeln!(io::stderr(), "{}", message(error));
+    let _ = writeln!(io::stderr(), "{}{}", misfits(error), message(error));
     if is_usage(error) { Exit::Usage } else { Exit::Failed }
 }
 
@@ -94,6 +94,25 @@ fn is_usage(error: &anyhow::Error) -> bool {
 fn is_usage_of_data(error: &DataError) -> bool {
     use DataError::{NotEmpty, NotOurs, Occupied, Option, StagingTaken};
     matches!(error, Option { .. } | Occupied { .. } | NotOurs { .. } | NotEmpty { .. } | StagingTaken { .. })
+}
+
+/// Every difference of weights that do not fit a network, a line each, before the error that counts them.
+fn misfits(error: &anyhow::Error) -> String {
+    let listed = |cause: &(dyn std::error::Error + 'static)| {
+        if let Some(ConvertError::Misfit { misfits, .. }) = cause.downcast_ref() {
+            let of_file = |misfit: &FileMisfit| {
+                let lines = misfit.differences.list();
+                lines.lines().map(|line| format!("{} {line}\n", misfit.file)).collect::<String>()
+            };
+            return Some(misfits.iter().map(of_file).collect());
+        }
+        let boxed = || cause.downcast_ref::<Box<WeightError>>().map(AsRef::as_ref);
+        match cause.downcast_ref::<WeightError>().or_else(boxed) {
+            Some(WeightError::Mismatch { differences, .. }) => Some(differences.list()),
+            _ => None,
+        }
+    };
+    error.chain().find_map(listed).unwrap_or_default()
 }
 
 /// `error: what`, and `  fix: what to do` where the error tells.

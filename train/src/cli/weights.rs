@@ -1,6 +1,5 @@
 //! `dimode weights inspect`, `convert` and `diff`.
 
-use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
@@ -9,7 +8,7 @@ use dimode_nets::NetKind;
 use super::failure::Exit;
 use super::options::refuse_unless;
 use super::{output, summary};
-use crate::run::weights::{ConvertError, ConvertRequest, DiffRequest, Input, convert, diff, inspect};
+use crate::run::weights::{ConvertRequest, DiffRequest, Input, convert, diff, inspect};
 
 const INSPECT_ABOUT: &str = "\
 Tell what a file of weights holds, and which networks it fits.
@@ -122,20 +121,9 @@ impl ConvertArgs {
     fn run(self) -> anyhow::Result<Exit> {
         let Self { net: network, files: inputs, out, partial, seed, force } = self;
         let request = ConvertRequest { network, inputs, out, partial, force, seed };
-        let converted = convert(&request).inspect_err(list_misfits)?;
+        let converted = convert(&request)?;
         output::text(&converted.render(&request))?;
         Ok(Exit::Done)
-    }
-}
-
-/// Prints every difference before the error that counts them.
-fn list_misfits(error: &anyhow::Error) {
-    let Some(ConvertError::Misfit { misfits, .. }) = error.downcast_ref() else { return };
-    for misfit in misfits {
-        for line in misfit.differences.list().lines() {
-            // Standard error may be closed; the exit code is all that is left then.
-            let _ = writeln!(io::stderr(), "{} {line}", misfit.file);
-        }
     }
 }
 

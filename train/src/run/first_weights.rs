@@ -37,6 +37,8 @@ struct Part<'a> {
     embedded: &'static [(&'static str, &'static [u8])],
     from: &'a FirstWeights,
     set: &'a mut ParamSet<f32>,
+    /// Whether a part of the network may start random: an encoder that knows pictures goes with a fresh decoder.
+    partial: bool,
     advice: &'static str,
 }
 
@@ -54,6 +56,7 @@ pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<Vec<
             embedded: &[],
             from: &nets.depth_weights,
             set: &mut loaded.depth,
+            partial: true,
             advice: "name weights of this network, or leave nets.depth_weights out",
         },
         Part {
@@ -61,6 +64,7 @@ pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<Vec<
             embedded: &[("raft", FLOW)],
             from: &nets.flow_weights,
             set: &mut loaded.flow,
+            partial: false,
             advice: "name a file that 'dimode pretrain flow' wrote for this size of network, or leave nets.flow_weights out",
         },
         Part {
@@ -68,6 +72,7 @@ pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<Vec<
             embedded: &POSE,
             from: &nets.pose_weights,
             set: &mut loaded.pose,
+            partial: false,
             advice: "name a folder that 'dimode pretrain pose' wrote for this size of network, or leave nets.pose_weights out",
         },
     ];
@@ -84,6 +89,11 @@ pub fn load_first_weights(nets: &NetsConfig, fresh: &mut Weights) -> Result<Vec<
 }
 
 impl Part<'_> {
+    /// `depth weights`, for instance.
+    fn what(&self) -> String {
+        self.setting.trim_start_matches("nets.").replace('_', " ")
+    }
+
     fn error(&self, source: WeightError) -> FirstWeightsError {
         FirstWeightsError { setting: self.setting, source: Box::new(source), advice: self.advice }
     }
@@ -95,10 +105,12 @@ impl Part<'_> {
             [only] if path.is_file() => vec![(only.clone(), Some(path.to_owned()))],
             _ => names.into_iter().map(|name| (name.clone(), file_of(path, &name))).collect(),
         };
-        if found.iter().all(|(_, file)| file.is_none()) {
-            let files: Vec<String> = found.iter().map(|(name, _)| format!("{name}.safetensors or {name}.pth")).collect();
+        let there = found.iter().filter(|(_, file)| file.is_some()).count();
+        if there == 0 || there < found.len() && !self.partial {
+            let missing = found.iter().filter(|(_, file)| file.is_none());
+            let files: Vec<String> = missing.map(|(name, _)| format!("{name}.safetensors or {name}.pth")).collect();
             let advice = format!("check {}: a folder with {}", self.setting, files.join(", "));
-            return Err(DataError::Missing { path: path.to_owned(), what: "weights".to_owned(), advice }.into());
+            return Err(DataError::Missing { path: path.to_owned(), what: self.what(), advice }.into());
         }
         let mut notes = Vec::new();
         for (name, file) in found {
@@ -117,7 +129,7 @@ impl Part<'_> {
 
 /// The file of a part of a network in a folder.
 fn file_of(folder: &Path, name: &str) -> Option<PathBuf> {
-    ["safetensors", "pth"].map(|kind| folder.join(format!("{name}.{kind}"))).into_iter().find(|file| file.is_file())
+    weights::ENDINGS.map(|ending| folder.join(format!("{name}.{ending}"))).into_iter().find(|file| file.is_file())
 }
 
 fn embedded(set: &mut ParamSet<f32>, files: &[(&str, &[u8])]) -> Result<(), WeightError> {

@@ -69,6 +69,10 @@ fn count_within(tensor: &TensorRef, held: usize) -> Option<usize> {
 
 /// The values at the places of a tensor that lies within its storage.
 fn gather(element: ElementType, bytes: &[u8], tensor: &TensorRef, count: usize) -> Vec<f64> {
+    // The other sides of an empty tensor may be of any length.
+    if count == 0 {
+        return Vec::new();
+    }
     let size = element.size();
     let run = contiguous_run(tensor);
     let mut values = Vec::with_capacity(count);

@@ -115,8 +115,8 @@ impl Networks {
         };
         let TrainedModel { config, model, .. } = &mut networks.trained;
         if let Some(size) = request.size {
+            // The networks stay those of the size they were trained at.
             (config.data.width, config.data.height) = size;
-            *model = Model::of(config);
         }
         if let Some(iterations) = request.flow_iterations {
             model.flow_iterations = iterations;

@@ -67,7 +67,7 @@ pub struct TensorDifference {
 /// a folder is to be compared with a file.
 pub fn diff(request: &DiffRequest) -> Result<Comparison> {
     let DiffRequest { a, b, tolerance } = request.clone();
-    if a.is_dir() != b.is_dir() {
+    if a.exists() && b.exists() && a.is_dir() != b.is_dir() {
         return Err(ConvertError::FileAndFolder { a, b }.into());
     }
     let (mut first, mut second) = (tensors(&a)?, tensors(&b)?);
