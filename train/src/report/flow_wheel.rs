@@ -58,11 +58,14 @@ pub fn wheel_colour(u: f64, v: f64) -> Rgb {
     })
 }
 
-/// A round number of pixels at or above `length`: 1, 2 or 5 times a power of ten, at least 0.5.
+/// A round number of pixels at or above `length`: 1, 1.5, 2, 3, 4, 6 or 8 times a power of ten, at least 0.5.
 pub fn round_scale(length: f64) -> f64 {
-    let length = if length.is_finite() { length.clamp(0.5, 1e9) } else { 0.5 };
+    let length = if length.is_finite() { length.min(1e9) } else { 0.0 };
+    if length <= 0.5 {
+        return 0.5;
+    }
     let power = 10f64.powf(length.log10().floor());
-    let rounds = [1.0, 2.0, 5.0, 10.0].into_iter().map(|factor| factor * power);
+    let rounds = [1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0].map(|factor| factor * power);
     // Rounding of the logarithm must not push a round number to the next one.
     rounds.into_iter().find(|scale| *scale >= 0.999_999 * length).unwrap_or(10.0 * power)
 }
@@ -164,8 +167,8 @@ mod tests {
 
     #[test]
     fn scales_are_round_and_never_below_the_length() {
-        let rounded = [0.0, 0.5, 0.7, 1.0, 1.3, 2.0, 3.0, 7.0, 10.0, 99.0, f64::NAN].map(round_scale);
-        assert_eq!(rounded, [0.5, 0.5, 1.0, 1.0, 2.0, 2.0, 5.0, 10.0, 10.0, 100.0, 0.5]);
+        let rounded = [0.0, 0.5, 0.7, 1.0, 1.3, 2.0, 2.1, 7.0, 10.0, 99.0, f64::NAN].map(round_scale);
+        assert_eq!(rounded, [0.5, 0.5, 0.8, 1.0, 1.5, 2.0, 3.0, 8.0, 10.0, 100.0, 0.5]);
         assert_eq!([0.25, 5.0, 20.0].map(number), ["0.25", "5", "20"]);
     }
 

@@ -162,6 +162,16 @@ fn a_run_leaves_report_metrics_log_and_can_be_used() {
     dimode(&beside.each_ref().map(String::as_str)).refused(2, &["other.partial: in the way", "fix: move it away"]);
     assert!(place.path("other.partial").exists(), "what others made stays");
 
+    let with_flow = place.path("with flow");
+    let flow =
+        ["infer", "--run", text(&run), "--data", text(&data), "--out", text(&with_flow), "--flow", "--formats", "flo,wheel"];
+    let told = dimode(&flow).succeeded();
+    assert!(told.contains("flow in full colour at ") && told.contains(", flow "), "{told}");
+    let written = with_flow.join(sequence.file_name().unwrap());
+    assert_eq!(fs::read_dir(written.join("flow")).unwrap().count(), 3);
+    assert!(written.join("flow_legend.png").is_file() && written.join("trajectory.tum.txt").is_file());
+    assert!(!written.join("depth").exists(), "only the forms that are asked for");
+
     let (single, out) = (place.path("single"), place.path("depth of one"));
     crate::frames(&single, 1);
     let infer = ["infer", "--run", text(&run), "--data", text(&single), "--out", text(&out), "--json"];

@@ -52,6 +52,14 @@ impl NamedNetworks {
 /// Networks that cannot be put to work.
 #[derive(Debug, Error)]
 pub enum InferError {
+    /// What a network says has no form among those that are asked for.
+    #[error("--formats has none for {what}; add one of {forms}")]
+    NoForm {
+        /// Depth or flow.
+        what: &'static str,
+        /// The forms of it.
+        forms: &'static str,
+    },
     /// The network does not take frames of this size.
     #[error("{unfit}; choose another --size")]
     Size {
@@ -85,7 +93,7 @@ pub enum InferError {
 impl InferError {
     /// Whether the command, not the files, is to blame.
     pub fn is_usage(&self) -> bool {
-        matches!(self, Self::Size { .. } | Self::Several { .. })
+        matches!(self, Self::Size { .. } | Self::Several { .. } | Self::NoForm { .. })
     }
 }
 
@@ -122,6 +130,13 @@ impl Networks {
             model.flow_iterations = iterations;
         }
         networks.unit = request.unit.unwrap_or(USUAL_DEPTH / networks.trained.model.range.usual());
+        let asked = matches!(&request.source, Source::Named(named) if named.depth.is_some());
+        if asked && !request.forms.of_depth() {
+            return Err(InferError::NoForm { what: "depth", forms: "png, npy, magma, turbo" }.into());
+        }
+        if networks.writes_flow && !request.forms.of_flow() {
+            return Err(InferError::NoForm { what: "flow", forms: "png, flo, wheel" }.into());
+        }
         networks.check_size()?;
         Ok(networks)
     }

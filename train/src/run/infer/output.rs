@@ -135,8 +135,8 @@ impl Output<'_> {
         Ok(())
     }
 
-    /// Writes a flow `[1, 2, h, w]` at the size (width, height) of the frame and gives the length that all but a hundredth of its
-    /// pixels keep within.
+    /// Writes a flow `[1, 2, h, w]` at the size (width, height) of the frame and gives the length that 95 of 100 of its pixels
+    /// keep within.
     pub fn write_flow(&self, name: &str, flow: &Tensor<f32>, size: (usize, usize)) -> Result<f64> {
         let flow = resize_flow(flow, size);
         let known = vec![true; flow.len()];
@@ -151,7 +151,7 @@ impl Output<'_> {
         let mut lengths: Vec<f64> = flow.u.iter().zip(&flow.v).map(|(u, v)| f64::from(u.hypot(*v))).collect();
         lengths.retain(|length| length.is_finite());
         lengths.sort_unstable_by(f64::total_cmp);
-        Ok(lengths.len().checked_sub(1).map_or(0.0, |last| lengths[(0.99 * last as f64).round() as usize]))
+        Ok(lengths.len().checked_sub(1).map_or(0.0, |last| lengths[(0.95 * last as f64).round() as usize]))
     }
 
     /// Draws the flows of the frames with these names on one scale that holds `longest` pixels, and the legend. Gives the scale.
@@ -222,7 +222,7 @@ mod tests {
                 let longest = output.write_flow("a", &flow(3.0, 4.0, (4, 4)), (4, 4)).unwrap();
                 assert!((longest - 5.0).abs() < 1e-6);
                 let scale = output.draw_flows(&["a".to_owned()], longest).unwrap();
-                assert_eq!(scale, forms.has(Form::Wheel).then_some(5.0));
+                assert_eq!(scale, forms.has(Form::Wheel).then_some(6.0));
             }
             let mut found: Vec<String> =
                 fs::read_dir(place.path()).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();

@@ -60,9 +60,10 @@ impl Sequence<'_> {
         let begin = Instant::now();
         let Networks { writes_depth, writes_flow, unit, .. } = *self.networks;
         let output = Output { folder: self.folder, forms: self.forms };
-        output.prepare(writes_depth, writes_flow)?;
-        let (mut found, mut seen) = (Found::default(), Vec::new());
         let len = self.dataset.sequence_len(self.number);
+        // The last frame has no flow.
+        output.prepare(writes_depth, writes_flow && len > 1)?;
+        let (mut found, mut seen) = (Found::default(), Vec::new());
         for start in (0..len).step_by(CHUNK) {
             // One frame more than is shown: the motion into the next chunk.
             let end = (start + CHUNK + 1).min(len);
