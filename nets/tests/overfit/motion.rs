@@ -1,11 +1,11 @@
 //! Every pose and flow network learns one image pair by heart: the loss falls tenfold in a bounded number of steps.
 
-use std::collections::BTreeMap;
-
 use dimode_autodiff::{Shape, Tape, Tensor, Var};
 use dimode_nets::layers::TrainingStatistics;
 use dimode_nets::raft::{RaftFull, RaftVariant};
 use dimode_nets::{Binder, FlowNet, FlowNetConfig, FlowNetKind, Kind, Mode, Network, ParamSet, PoseNet, PoseNetKind};
+
+use crate::adam::Adam;
 
 const SIZE: Shape = Shape([1, 3, 64, 96]);
 /// Flow in pixels at the middle of the first image, and how it grows: along u by the row, along v by the column.
@@ -37,32 +37,6 @@ fn texture(origin: impl Fn(f64, f64) -> (f64, f64)) -> Tensor<f32> {
         let sum = wave(0.31, 0.12, 0.0) + wave(-0.17, 0.41, 1.0) + wave(0.53, -0.37, 2.0) + wave(0.08, 0.09, 3.0);
         (0.5 + 0.12 * sum) as f32
     })
-}
-
-/// Adam with its usual moments and a constant rate.
-struct Adam {
-    rate: f32,
-    step: i32,
-    moments: BTreeMap<String, Vec<[f32; 2]>>,
-}
-
-impl Adam {
-    fn new(rate: f32) -> Self {
-        Self { rate, step: 0, moments: BTreeMap::new() }
-    }
-
-    fn step(&mut self, params: &mut ParamSet<f32>, gradients: Vec<dimode_nets::ParamGradient<f32>>) {
-        self.step += 1;
-        let [first, second] = [0.9f32, 0.999].map(|decay| 1.0 - decay.powi(self.step));
-        for item in gradients {
-            let values = params.get_mut(&item.path).unwrap().data_mut();
-            let moments = self.moments.entry(item.path).or_insert_with(|| vec![[0.0; 2]; values.len()]);
-            for ((value, moment), &g) in values.iter_mut().zip(moments).zip(item.gradient.data()) {
-                *moment = [0.9 * moment[0] + 0.1 * g, 0.999 * moment[1] + 0.001 * g * g];
-                *value -= self.rate * (moment[0] / first) / ((moment[1] / second).sqrt() + 1e-8);
-            }
-        }
-    }
 }
 
 /// The displaced image shows at the end of every displacement what the first one shows at its start.

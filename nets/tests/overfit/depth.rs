@@ -1,41 +1,13 @@
 //! Each nano depth network can learn one pair of images by heart.
 
 use dimode_autodiff::{Shape, Tape, Tensor};
-use dimode_nets::{Binder, DepthNet, DepthNetKind, Mode, Network, ParamGradient, ParamSet, fill};
+use dimode_nets::{Binder, DepthNet, DepthNetKind, Mode, Network, fill};
+
+use crate::adam::Adam;
 
 const SHAPE: Shape = Shape([2, 3, 64, 96]);
 const STEPS: u64 = 80;
-const RATE: f64 = 3e-3;
-
-/// Adam with its usual constants.
-struct Adam {
-    rate: f64,
-    step: i32,
-    moments: Vec<[Vec<f64>; 2]>,
-}
-
-impl Adam {
-    fn new(rate: f64) -> Self {
-        Self { rate, step: 0, moments: Vec::new() }
-    }
-
-    fn update(&mut self, params: &mut ParamSet<f32>, gradients: &[ParamGradient<f32>]) {
-        self.step += 1;
-        if self.moments.is_empty() {
-            self.moments = gradients.iter().map(|g| [0, 1].map(|_| vec![0.0; g.gradient.shape().len()])).collect();
-        }
-        let unbias = [0.9f64, 0.999].map(|decay| 1.0 / (1.0 - decay.powi(self.step)));
-        for (item, [means, squares]) in gradients.iter().zip(&mut self.moments) {
-            let values = params.get_mut(&item.path).unwrap().data_mut();
-            for (((value, &g), mean), square) in values.iter_mut().zip(item.gradient.data()).zip(means).zip(squares) {
-                let g = f64::from(g);
-                *mean += 0.1 * (g - *mean);
-                *square += 0.001 * (g * g - *square);
-                *value -= (self.rate * *mean * unbias[0] / ((*square * unbias[1]).sqrt() + 1e-8)) as f32;
-            }
-        }
-    }
-}
+const RATE: f32 = 3e-3;
 
 /// Inverse depth of a road under a slanted wall, another one for each sample, from 0.2 to 0.9.
 fn disparity(n: usize, v: usize, u: usize) -> f32 {
@@ -69,7 +41,7 @@ fn losses(kind: DepthNetKind) -> Vec<f64> {
         let gradients = binder.gradients(&tape.backward(loss));
         let value = f64::from(loss.value().item());
         let statistics = binder.into_statistics();
-        adam.update(&mut params, &gradients);
+        adam.step(&mut params, gradients);
         params.apply_statistics(&statistics);
         value
     };
