@@ -132,7 +132,8 @@ fn weights_of_another_network_are_refused_and_nothing_is_written() {
     let out = place.path("out");
     let infer = |args: &[&str]| place.infer("out", args);
     let wrong = ["--depth", "resnet18", "--depth-weights", "PLACE/depth"];
-    infer(&wrong).refused(1, &["--depth-weights: ", "does not fit the network", "fix: name what was trained as resnet18"]);
+    let parts = ["--depth-weights: ", "does not fit the network", "fix: name what was trained as resnet18"];
+    infer(&wrong).refused_with_list(1, "missing: encoder.layer1.1.conv1.weight\n", &parts);
     let one_file = ["--depth", "nano_resnet", "--depth-weights", "PLACE/depth/encoder.safetensors"];
     infer(&one_file).refused(2, &["is one file, nano_resnet has encoder and depth", "fix: name the folder"]);
     infer(&["--pose", "nano", "--pose-weights", "PLACE/none"])

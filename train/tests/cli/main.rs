@@ -57,11 +57,19 @@ impl Ran {
     /// This code, nothing on standard output, and an error of at most two lines that contains all of `parts`.
     #[track_caller]
     fn refused(&self, code: i32, parts: &[&str]) {
+        self.refused_with_list(code, "", parts);
+    }
+
+    /// The same with lines before it that list what is wrong, one of which is `listed`.
+    #[track_caller]
+    fn refused_with_list(&self, code: i32, listed: &str, parts: &[&str]) {
         assert_eq!(self.code, code, "{}{}", self.out, self.err);
         assert_eq!(self.out, "");
-        assert!(self.err.starts_with("error: ") && self.err.lines().count() <= 2, "{}", self.err);
+        let (list, told) = self.err.split_at(self.err.find("error: ").unwrap_or(0));
+        assert!(list.contains(listed) && list.is_empty() == listed.is_empty(), "{}", self.err);
+        assert!(told.starts_with("error: ") && told.lines().count() <= 2, "{}", self.err);
         for part in parts {
-            assert!(self.err.contains(part), "'{part}' is not in: {}", self.err);
+            assert!(told.contains(part), "'{part}' is not in: {}", self.err);
         }
     }
 }

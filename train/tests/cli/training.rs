@@ -296,6 +296,8 @@ fn pose_weights_that_do_not_fit_are_refused_before_anything_is_written() {
     fs::write(folder.join("pose_encoder.safetensors"), "not weights").unwrap();
     let run = place.path("run");
     let flags = ["train", "--out", text(&run), "--pose-weights", text(&folder)];
+    dimode(&flags).refused(1, &["pose weights not found", "fix: check nets.pose_weights: a folder with pose.safetensors"]);
+    fs::write(folder.join("pose.safetensors"), "not weights").unwrap();
     dimode(&flags).refused(1, &["pose_encoder.safetensors", "fix: name a folder that 'dimode pretrain pose' wrote"]);
     assert!(!place.path("run").exists());
 }
