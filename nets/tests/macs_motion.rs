@@ -38,12 +38,8 @@ fn billions(macs: u64) -> String {
 const SMALL: (usize, usize) = (96, 64);
 const WIDE: (usize, usize) = (192, 64);
 const FULL: (usize, usize) = (640, 192);
-/// A tenth of the pixels of [`FULL`].
-const TENTH: (usize, usize) = (128, 96);
 /// Inner products over windows in the feature flow of nano_scipad at 96x64: channels, places of the window, cells.
 const NANO_WINDOWS: u64 = 16 * 81 * 16 * 24 + 32 * 25 * 8 * 12 + 64 * 9 * 4 * 6;
-/// What does not grow with the image in SCIPaD: its linear layers.
-const SCIPAD_LINEAR: u64 = 256 * 64 + 64 * 6;
 
 #[test]
 fn nano_pose_networks() {
@@ -68,21 +64,8 @@ fn nano_flow_networks() {
     }
 }
 
-/// What grows with the pixels tenfold, the correlation volume a hundredfold.
 #[test]
-fn reference_sizes_from_a_tenth_of_the_image() {
-    assert_eq!(billions(10 * pose(PoseNetKind::Resnet18, TENTH, Mode::Eval)), "4.888");
-    let scipad = pose(PoseNetKind::Scipad, TENTH, Mode::Eval) - SCIPAD_LINEAR;
-    assert_eq!(billions(10 * scipad + SCIPAD_LINEAR), "27.020");
-    for (kind, features, expected) in [(FlowNetKind::RaftSmall, 128, "21.804"), (FlowNetKind::RaftFull, 256, "97.840")] {
-        let volume = features * 192 * 192;
-        assert_eq!(billions(10 * (flow(kind, TENTH, true) - volume) + 100 * volume), expected);
-    }
-}
-
-#[test]
-#[ignore = "ten seconds: the reference networks at the size of the published tables"]
-fn reference_sizes_at_full_size() {
+fn reference_sizes() {
     assert_eq!(billions(pose(PoseNetKind::Resnet18, FULL, Mode::Eval)), "4.888");
     for mode in [Mode::Eval, Mode::Train] {
         assert_eq!(billions(pose(PoseNetKind::Scipad, FULL, mode)), "27.020");
