@@ -5,9 +5,9 @@ use dimode::config::{Config, FirstWeights, StageConfig};
 use dimode::model::{Model, Weights};
 use dimode::optim::adamw::State;
 use dimode::trainer::Trainer;
-use dimode_autodiff::{Shape, rng};
+use dimode_autodiff::{Shape, par, rng};
 use dimode_geometry::Intrinsics;
-use dimode_nets::{DepthNetKind, FlowNetKind, PoseNetKind};
+use dimode_nets::{DepthNet, DepthNetConfig, DepthNetKind, FlowNetKind, LiteMonoConfig, PoseNetKind};
 
 /// Sides of the images.
 const SIDE: usize = 64;
@@ -79,6 +79,30 @@ fn every_network_of_full_size_trains() {
     let flows = [FlowNetKind::RaftSmall, FlowNetKind::RaftFull, FlowNetKind::RaftFull].into_iter().cycle();
     for ((depth, pose), flow) in depths.into_iter().zip(poses).zip(flows) {
         trains(depth, pose, flow);
+    }
+}
+
+/// The weights of a Lite-Mono after one step, with drop path or without, on some threads.
+fn depth_after(step: u64, drops: bool, threads: usize) -> Vec<Vec<f32>> {
+    let config = config(DepthNetKind::NanoLiteMono, PoseNetKind::Nano, FlowNetKind::NanoRaft);
+    let stage = StageConfig::new("all", 1.0);
+    par::with_threads(threads, || {
+        let mut trainer = Trainer::new(&config, Model::of(&config).init(1), State::default());
+        if !drops {
+            let sizes = LiteMonoConfig { drop_path: 0.0, ..LiteMonoConfig::nano() };
+            trainer.model.depth = DepthNet::new(DepthNetConfig::LiteMono(sizes));
+        }
+        trainer.step(&batch(), None, &stage, step, 1e-3, false).expect("a finite step");
+        trainer.weights().depth.trainable().map(|(_, entry)| entry.tensor().to_vec()).collect()
+    })
+}
+
+#[test]
+fn training_drops_paths_alike_on_any_number_of_threads() {
+    let steps = 3..6;
+    assert!(steps.clone().any(|step| depth_after(step, true, 1) != depth_after(step, false, 1)), "nothing is dropped");
+    for step in steps {
+        assert!(depth_after(step, true, 1) == depth_after(step, true, 2), "threads change what is dropped at step {step}");
     }
 }
 

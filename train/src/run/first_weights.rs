@@ -148,6 +148,28 @@ mod tests {
     use crate::model::Model;
 
     #[test]
+    fn of_a_depth_network_a_file_may_be_missing_and_is_named() {
+        let place = tempfile::tempdir().unwrap();
+        let nets = NetsConfig { depth_weights: FirstWeights::File(place.path().to_owned()), ..NetsConfig::default() };
+        let model = Model::new(&nets);
+        let [trained, fresh] = [5, 6].map(|seed| model.init(seed));
+        let encoder = |weights: &Weights| weights.depth.file("encoder").unwrap().iter().next().unwrap().1.tensor().to_vec();
+        let decoder = |weights: &Weights| weights.depth.file("depth").unwrap().iter().next().unwrap().1.tensor().to_vec();
+        let missing = load_first_weights(&nets, &mut fresh.clone()).unwrap_err().to_string();
+        assert!(missing.contains("depth weights not found") && missing.contains("encoder.safetensors"), "{missing}");
+
+        weights::save(&place.path().join("encoder.safetensors"), trained.depth.file("encoder").unwrap()).unwrap();
+        let mut loaded = fresh.clone();
+        let notes = load_first_weights(&nets, &mut loaded).unwrap();
+        assert!(
+            notes.len() == 1 && notes[0].contains("no depth in") && notes[0].ends_with("that part starts random"),
+            "{notes:?}"
+        );
+        assert!(encoder(&loaded) == encoder(&trained) && encoder(&loaded) != encoder(&fresh));
+        assert_eq!(decoder(&loaded), decoder(&fresh));
+    }
+
+    #[test]
     fn weights_of_another_network_are_told_in_a_line_that_names_the_place_once() {
         let place = tempfile::tempdir().unwrap();
         let small = NetsConfig::default();

@@ -149,6 +149,10 @@ fn weights_of_another_network_are_refused_and_nothing_is_written() {
 fn flags_that_do_not_go_together_are_refused() {
     let place = Place::new();
     let infer = |args: &[&str]| place.infer("out", args);
+    infer(&[&DEPTH[..], &["--formats", "flo"]].concat())
+        .refused(2, &["--formats has none for depth", "fix: add one of png, npy, magma, turbo"]);
+    infer(&[&FLOW[..], &["--formats", "npy"]].concat())
+        .refused(2, &["--formats has none for flow", "fix: add one of png, flo, wheel"]);
     infer(&[]).refused(2, &["no network", "fix: give --run RUN, or any of --depth"]);
     infer(&["--flow"]).refused(2, &["--flow without a name"]);
     infer(&["--flow", "nano_raft"]).refused(2, &["--flow without weights"]);
